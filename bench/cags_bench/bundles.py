@@ -1,4 +1,4 @@
-"""Encoded bundles, made once and found again by content."""
+"""Cache of encoded bundles, found by content."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ def default_cache() -> Path:
 
 
 def cached_bundle(scene: str, cache: str, settings: EncodeSettings, *, progress: bool = True) -> Path:
-    """Folder of the bundle of ``scene``, encoded now unless the same scene and settings were encoded before.
+    """Folder of the bundle of ``scene``; encoded only if it is not in the cache.
 
-    ``cache`` names the folder of bundles; empty: :func:`default_cache`. A scene of fewer than ``settings.frames``
-    frames is encoded over and over until there are as many. ``progress``: show a bar meanwhile.
+    ``cache`` is the folder of bundles; empty: :func:`default_cache`. A scene with fewer than ``settings.frames`` frames
+    is repeated. ``progress``: show a progress bar.
     """
     from cags_encoder import content_key, encode
     from cags_encoder.execution.progress import progress_bar
@@ -41,7 +41,7 @@ def cached_bundle(scene: str, cache: str, settings: EncodeSettings, *, progress:
 
 
 def _readable(bundle: Path) -> bool:
-    """Whether there is a bundle of the present format; one of an older format is encoded again."""
+    """Whether a bundle of the current format exists; older formats are encoded again."""
     from cags_common.bundle import BundleReader
     from cags_common.errors import BundleError
 
@@ -54,7 +54,7 @@ def _readable(bundle: Path) -> bool:
 
 @dataclass(frozen=True)
 class LoopedSource:
-    """A scene that starts again when it ends."""
+    """A scene that repeats."""
 
     source: FrameSource
     length: int
@@ -66,7 +66,7 @@ class LoopedSource:
 
     @property
     def fps(self) -> float:
-        """Frames a second."""
+        """Frames per second."""
         return self.source.fps
 
     @property
@@ -76,7 +76,7 @@ class LoopedSource:
 
     @property
     def focus(self) -> Focus:
-        """Where the scene is."""
+        """Focus of the scene."""
         return self.source.focus
 
     def __len__(self) -> int:
@@ -87,10 +87,10 @@ class LoopedSource:
         return self.source.frame(index % len(self.source))
 
     def ids(self, index: int) -> Ids | None:
-        """Identities of the frame's splats; the same every time round."""
+        """Identities of the frame's splats, the same in every repetition."""
         return self.source.ids(index % len(self.source))
 
 
 def looped(source: FrameSource, frames: int | None) -> FrameSource:
-    """``source``, or a loop of it that has ``frames`` frames."""
+    """``source``, or a loop of it with ``frames`` frames."""
     return source if frames is None or frames <= len(source) else LoopedSource(source, frames)

@@ -1,4 +1,4 @@
-"""``cags-bench``: one subcommand an experiment."""
+"""``cags-bench``: one subcommand per experiment."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from cags_common.errors import ConfigError
 
 SUBCOMMANDS = {
     "stream": "stream a scene or bundle over a trace in virtual time, score every frame, compare settings",
-    "raster": "speed and exactness of the rasteriser backends, beside the prototype and peers",
-    "codec": "rate and distortion of the quantisers beside other codecs, and their times",
-    "motion": "bytes a frame and quality of moving scenes, motion coded apart and not",
-    "predict": "precision of pose prediction and of the reference's field of view",
+    "raster": "speed and accuracy of the rasteriser backends, the prototype and other renderers",
+    "codec": "rate, distortion and times of the quantisers and of other codecs",
+    "motion": "bytes per frame and quality of moving scenes, with motion coded separately and without",
+    "predict": "accuracy of pose prediction and coverage of the reference's field of view",
     "align": "time of the client's frame and of the server's references",
-    "references": "what differences, pictures, the paper's way and no references bring, over whole sessions",
-    "network": "sending, rate policies and estimators over every shipped trace; crowds; soak",
-    "demo": "the demo in real time, several times: frames, evenness, quality; with a core taken away",
-    "scale": "sessions that several servers behind a balancer carry",
+    "references": "whole sessions with differences, pictures, the paper's method and no references",
+    "network": "sending, rate policies and estimators over every shipped trace; many sessions; soak test",
+    "demo": "the demo in real time: frames, regularity and quality, also with a core occupied",
+    "scale": "server cost per viewer, and sessions that several servers carry",
     "reproduce": "the paper's tables and figures on this project's scenes and traces",
-    "web": "the viewer in a browser: a published folder beside the server's stream, over links",
-    "cost": "what each step of accuracy costs in milliseconds and bytes",
+    "web": "the viewer in a browser: a published folder and the server's stream, over several links",
+    "cost": "time and bytes of each step of accuracy",
 }
-"""Subcommand and its summary; the code is ``cags_bench.<name>.command`` and is imported only when it is asked for."""
+"""Subcommands and their summaries. The code is ``cags_bench.<name>.command``, imported only when needed."""
 
 EXAMPLES = """\
   cags-bench stream --scene procedural --frames 60 --json
@@ -55,12 +55,12 @@ def _run(argv: Sequence[str]) -> int:
 
 def _run_subcommand(module: ModuleType, name: str, argv: Sequence[str]) -> int:
     parser = command_parser(f"cags-bench {name}", module.SUMMARY, module.EXAMPLES)
-    parser.add_argument("--json", action="store_true", help="print JSON lines: one a case, the last a summary")
+    parser.add_argument("--json", action="store_true", help="print JSON lines: one per case, then a summary")
     module.add_arguments(parser)
     arguments = parser.parse_args(argv)
     from cags_bench.jsonl import provenance
 
-    provenance()  # now: figures are of the code that a long run began with
+    provenance()  # now, so that results name the code with which a long run began
     lines: Iterator[dict[str, Any]] = module.run(arguments)
     if arguments.json:
         from cags_bench.jsonl import write_lines

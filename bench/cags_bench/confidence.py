@@ -1,4 +1,4 @@
-"""How sure a difference between two plays of the same walk is: 95 % intervals of paired means."""
+"""Confidence of a difference between plays: 95 % intervals of paired means."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 
 BLOCK_FRAMES = 9
-"""Frames that count as one observation: neighbours are alike, 0.3 s apart they hardly are."""
+"""Frames per observation: neighbouring frames are similar, frames 0.3 s apart hardly are."""
 
 SHARE = 0.95
-"""Of intervals that hold the true mean."""
+"""Share of intervals that contain the true mean."""
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean and the bounds within which the true one lies with 95 %."""
+    """A mean and its 95 % interval."""
 
     mean: float
     low: float
@@ -27,7 +27,7 @@ class Interval:
         return f"{self.mean:+.2f} [{self.low:+.2f}, {self.high:+.2f}]"
 
     def above(self, bound: float) -> bool:
-        """Whether it is sure that the mean is more than ``bound``."""
+        """Whether the mean is surely above ``bound``."""
         return self.low > bound
 
 
@@ -39,7 +39,7 @@ def interval(values: Sequence[float]) -> Interval:
     mean = float(found.mean())
     if len(found) < 2:
         return Interval(mean, -math.inf, math.inf)
-    from scipy.special import stdtrit  # here: scipy is loaded for plays that are compared only
+    from scipy.special import stdtrit  # only comparisons need scipy
 
     t = float(stdtrit(len(found) - 1, (1 + SHARE) / 2))
     spread = t * float(found.std(ddof=1)) / math.sqrt(len(found))
@@ -47,10 +47,11 @@ def interval(values: Sequence[float]) -> Interval:
 
 
 def paired(ours: Sequence[float], theirs: Sequence[float]) -> Interval:
-    """Interval of the mean of ``ours`` less ``theirs``, paired by frame of one walk, in blocks of :data:`BLOCK_FRAMES`.
+    """Interval of the mean of ``ours`` minus ``theirs``, paired by frame of one walk, in blocks of
+    :data:`BLOCK_FRAMES`.
 
-    Frames of one play are no independent observations, blocks nearly are. The interval is that of this walk over this
-    link: others differ by more.
+    Frames of one play are not independent observations; blocks nearly are. The interval is for this walk over this
+    link; others differ by more.
     """
     if len(ours) != len(theirs):
         raise ValueError(f"{len(ours)} frames of ours and {len(theirs)} of theirs are no pairs")

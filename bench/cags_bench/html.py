@@ -38,7 +38,7 @@ figure { margin: 0; flex: 1 1 14rem }
 
 
 def page(title: str, body: Iterable[str]) -> str:
-    """A whole HTML document that needs nothing else; it says where and from which commit it was measured."""
+    """A complete HTML document without external files; it names the machine and commit of the measurement."""
     where = provenance()
     return (
         "<!doctype html><html lang=en><meta charset=utf-8>"
@@ -51,12 +51,12 @@ def page(title: str, body: Iterable[str]) -> str:
 
 
 def escape(value: Any) -> str:
-    """Text that is safe within HTML."""
+    """Text escaped for HTML."""
     return html.escape(str(value))
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[Any]], emphasised: Iterable[bool] | None = None) -> str:
-    """A table; numbers are shortened. ``emphasised`` marks rows."""
+    """A table with shortened numbers. ``emphasised`` marks rows."""
     marks = iter(emphasised) if emphasised is not None else None
     head = "".join(f"<th>{escape(column)}</th>" for column in columns)
     lines = []
@@ -67,7 +67,7 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[Any]], emphasised: Ite
 
 
 def short(value: Any) -> str:
-    """A figure as people read it; an absent one is a dash."""
+    """A value as readable text; a missing one is a dash."""
     if value is None or value != value:  # noqa: PLR0124 - NaN is the value that differs from itself
         return "–"
     return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,7 +1,7 @@
-"""JSON lines of benchmarks: one line a case, and a last line that judges nothing but reports every target.
+"""JSON lines of benchmarks: one line per case, and a last line that reports every target.
 
-Every line carries where it was measured (machine, commit, versions); the caller adds seed, warm-up, repetitions, median
-and spread. Figures that a target exists for come again in the last line as ``checks``.
+Every line has the provenance of the measurement (machine, commit, versions); the caller adds seed, warm-up,
+repetitions, median and spread. Figures with a target are repeated in the last line as ``checks``.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def provenance() -> JsonObject:
 
 
 def check(name: str, target: str, value: object, ok: bool) -> JsonObject:
-    """One target and what was measured. ``ok`` reports; it never changes an exit code."""
+    """One target and the measured value. ``ok`` is only reported; it never changes an exit code."""
     return {"name": name, "target": target, "value": value, "ok": bool(ok)}
 
 
@@ -45,7 +45,7 @@ def summary(benchmark: str, checks: Iterable[JsonObject], **figures: Any) -> Jso
 
 
 def dump(line: JsonObject) -> str:
-    """One JSON line with sorted keys; non-finite floats become null, for JSON has none."""
+    """One JSON line with sorted keys; non-finite floats become null, because JSON has none."""
     return json.dumps(_finite(line), sort_keys=True, allow_nan=False)
 
 

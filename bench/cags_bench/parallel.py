@@ -1,4 +1,4 @@
-"""Cases on all cores, a process each."""
+"""Runs cases on all cores, each in its own process."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Result = TypeVar("Result")
 
 
 def in_parallel(work: Callable[[Case], Result], cases: Sequence[Case], workers: int) -> Iterator[Result]:
-    """``work`` of every case, in the cases' order; an exception of one ends the others."""
+    """Apply ``work`` to every case, in order; an exception in one ends the others."""
     if workers < 2 or len(cases) < 2:
         yield from map(work, cases)
         return

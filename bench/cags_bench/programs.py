@@ -1,4 +1,4 @@
-"""Other programs that experiments run."""
+"""Other programs used by experiments."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from cags_common.errors import ConfigError
 
 
 def executable(name: str, path: str) -> Path:
-    """The Python of another installation, which setting ``name`` gives as ``path``. Raises :class:`ConfigError`.
+    """The Python of another installation, given by setting ``name`` as ``path``. Raises :class:`ConfigError`.
 
-    Links are not followed: they tell an installation which it is.
+    Links are not resolved, because Python finds its installation by them.
     """
     found = Path(path)
     if not found.is_file() or not os.access(found, os.X_OK):
-        raise ConfigError(f"{name} = {path!r} is no program; give the python of an earlier installation")
+        raise ConfigError(f"{name} = {path!r} is not a program; give the python of an earlier installation")
     return found.absolute()

@@ -1,4 +1,4 @@
-"""One frame as a client sees it, outside of any session: drawn, corrected or restored by the product's own parts."""
+"""One frame as a client shows it, outside of any session: drawn, corrected or restored by the product's own parts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Seen:
 
     @property
     def distorted(self) -> F32:
-        """[H, W, 3] in [0, 1]: what is shown without a reference."""
+        """[H, W, 3] in [0, 1]: the picture without a reference."""
         return self.view.rgb.clip(0, 1)
 
     @property
@@ -33,32 +33,32 @@ class Seen:
         return self.view.depth
 
     def own(self, camera: Camera) -> F32:
-        """The client's own splats from a reference's ``camera`` [h, w, 3], drawn as the server draws references."""
+        """The client's splats from a reference's ``camera`` [h, w, 3], drawn as the server draws references."""
         footprint = Footprint.of(self.camera.intrinsics, camera.intrinsics)
         return self.scene.render(camera, RenderOptions(footprint=footprint, depth=DepthKind.NONE)).rgb
 
     def corrected(self, reference: Reference, corrector: Corrector | None = None) -> Corrected:
-        """The picture that is shown: what ``reference`` says is lacking, sampled by depth and added."""
+        """The displayed picture after correction by ``reference``."""
         corrector = corrector or correction.create("auto")
         own = self.own(reference.camera) if corrector.needs_own(reference) else None
         return corrector.correct(self.view, self.camera, reference, own)
 
     def aligned(self, picture: ReferencePicture, aligner: Aligner | None = None, *, colours: bool = False) -> Aligned:
-        """``picture`` brought to this view, its ``colours`` at once or when they are looked at."""
+        """``picture`` aligned to this view; its ``colours`` are computed at once or on demand."""
         return (aligner or align.create("fast")).align(picture, self.depth, self.camera, colours=colours)
 
     def restored(self, picture: ReferencePicture, restorer: Restorer, level: float) -> F32:
-        """The picture that a client shows that restores by an aligned one [H, W, 3] in [0, 1]; ``level`` in [0, 1]."""
+        """The picture [H, W, 3] in [0, 1] of a client that restores with an aligned picture; ``level`` in [0, 1]."""
         return restorer.restore(RestoreInput(self.distorted, self.aligned(picture), level))
 
 
 def see(scene: RasterScene, camera: Camera, options: RenderOptions | None = None) -> Seen:
-    """Draw the splats that a client holds."""
+    """Draw a client's splats."""
     return Seen(scene, camera, scene.render(camera, options or RenderOptions()))
 
 
 def available_restorers() -> list[str]:
-    """Restorers of aligned pictures that can run here, cheapest first: networks without weights are left out."""
+    """Restorers of aligned pictures that can run here, cheapest first; networks without weights are left out."""
     from cags_client.frame import restore
     from cags_common.errors import ConfigError
 

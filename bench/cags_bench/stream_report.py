@@ -12,13 +12,13 @@ import numpy as np
 JsonObject = dict[str, Any]
 
 STAGES_EVERY = 15
-"""Every so many frames the pictures of all stages are kept."""
+"""Interval of frames whose stages are saved."""
 
 STRIP_STAGES = ("reference", "distorted", "correction", "aligned", "restored", "truth")
 STRIP_TITLES = {
     "reference": "reference (400x300, sent)",
     "distorted": "distorted (decoded splats)",
-    "correction": "what the reference changes, around grey",
+    "correction": "change by the reference, around grey",
     "aligned": "aligned picture",
     "restored": "restored (shown)",
     "truth": "truth (never sent)",
@@ -26,13 +26,13 @@ STRIP_TITLES = {
 
 
 def read_lines(path: Path) -> tuple[list[JsonObject], JsonObject]:
-    """Frames and summary of a client's ``--json`` file."""
+    """Frames and summary from a client's ``--json`` file."""
     lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line]
     return [line for line in lines if not line.get("summary")], next(line for line in lines if line.get("summary"))
 
 
 def series(frames: Sequence[JsonObject], key: str) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """One figure over frames [F]; NaN where a frame has none."""
+    """One figure over frames [F]; NaN if a frame lacks it."""
     return np.array([np.nan if frame.get(key) is None else float(frame[key]) for frame in frames])
 
 
@@ -44,7 +44,7 @@ def capacity_series(trace: Any, seconds: float) -> tuple[list[float], list[float
 
 
 def plot_stream(frames: Sequence[JsonObject], capacity: tuple[Any, Any] | None, path: Path) -> None:
-    """Quality, detail and rate over time. ``capacity`` is (times in s, Mbps) of the link."""
+    """Plot quality, detail and rate over time. ``capacity`` is (times in s, Mbps) of the link."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -59,7 +59,7 @@ def plot_stream(frames: Sequence[JsonObject], capacity: tuple[Any, Any] | None, 
         ("psnr_restored_db", "tab:green"),
     ):
         values = series(frames, key)
-        if np.isfinite(values).any():  # a picture is aligned for some restorers only
+        if np.isfinite(values).any():  # only some restorers align a picture
             quality.plot(time_s, values, color=colour, label=key.split("_")[1])
     quality.set_ylabel("PSNR [dB]")
     quality.legend(loc="lower right")
@@ -85,14 +85,14 @@ def plot_stream(frames: Sequence[JsonObject], capacity: tuple[Any, Any] | None, 
 
 
 def telling_frame(frames: Sequence[dict[str, Any]]) -> int | None:
-    """The saved frame with the largest gain from its reference; None where none was saved."""
+    """The saved frame with the largest gain from its reference; None if none was saved."""
     saved = [frame for frame in frames if frame["frame"] % STAGES_EVERY == 0]
     gains = {f["frame"]: f.get("psnr_restored_db", 0.0) - f.get("psnr_distorted_db", 0.0) for f in saved}
     return max(gains, key=gains.__getitem__, default=None)
 
 
 def write_strip(stages: Path, frame: int, path: Path) -> bool:
-    """Put one frame's stages side by side with titles. Returns False when the client saved none."""
+    """Put one frame's stages side by side with titles. Returns False if the client saved none."""
     import cv2
 
     panels = []

@@ -1,4 +1,4 @@
-"""Benchmarks for people: the same lines as ``--json`` gives, as tables. What draws them loads with the first one."""
+"""Prints benchmarks as tables, with the same lines as ``--json``. Printing libraries are loaded when needed."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _print_line(line: dict[str, Any], stream: IO[str]) -> None:
 
 
 def summary_table(line: dict[str, Any]) -> Table:
-    """The figures of a summary line, a row each."""
+    """The figures of a summary line, one per row."""
     from rich.markup import escape
     from rich.table import Table
 
@@ -44,7 +44,7 @@ def summary_table(line: dict[str, Any]) -> Table:
 
 
 def checks_table(checks: Iterable[dict[str, Any]]) -> Table:
-    """Targets beside what was measured."""
+    """Targets and measured values."""
     from rich.markup import escape
     from rich.table import Table
 

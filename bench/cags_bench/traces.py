@@ -1,4 +1,4 @@
-"""Network traces made to measure."""
+"""Scaled network traces."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from cags_shaper.trace import open_trace
 RATE_STEP_US = 100_000
 
 PAPER_SPLATS = 170_000
-"""Splats of the paper's first frames: 2.0 MB at 66 bits and about 28 bits of position each."""
+"""Splats of the paper's first frames: 2.0 MB with 66 bits and about 28 bits of position each."""
 
 
 def scaled_trace(spec: str, share: float, seconds: float) -> Path:
-    """A copy of the trace's rates times ``share``, as a CSV file in the cache."""
+    """A copy of a trace with its rates times ``share``, as a CSV file in the cache."""
     trace = open_trace(spec)
     steps = math.ceil(seconds * 1e6 / RATE_STEP_US)
     rates = [trace.mean_bps(i * RATE_STEP_US, (i + 1) * RATE_STEP_US) / 1e6 * share for i in range(steps)]
@@ -32,7 +32,7 @@ def scaled_trace(spec: str, share: float, seconds: float) -> Path:
 
 
 def splats_of(bundle: Path) -> int:
-    """Splats of a bundle's first frame."""
+    """Number of splats in a bundle's first frame."""
     reader = BundleReader.open(str(bundle))
     try:
         return sum(tile.splats for tile in reader.frame(0).tiles)
@@ -41,10 +41,10 @@ def splats_of(bundle: Path) -> int:
 
 
 def link_share(bundle: Path, like_splats: int) -> float:
-    """What a link's rates are multiplied by: the scene's splats over ``like_splats``; 1 where that is 0."""
+    """Factor for a link's rates: the scene's number of splats over ``like_splats``; 1 if that is 0."""
     return splats_of(bundle) / like_splats if like_splats else 1.0
 
 
 def paper_link(bundle: Path, mbps: float) -> str:
-    """A steady link that gives the scene the bits a splat and second that ``mbps`` give the paper's scenes."""
+    """A steady link that gives the scene as many bits per splat and second as ``mbps`` gives the paper's scenes."""
     return f"generated:steady-{max(mbps * link_share(bundle, PAPER_SPLATS), 0.1):.3f}"

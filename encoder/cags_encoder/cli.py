@@ -1,4 +1,4 @@
-"""``cags-encode``: a scene to a bundle, and looking into bundles."""
+"""``cags-encode``: encodes scenes into bundles, and inspects, checks, exports and publishes bundles."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ EXAMPLES = """\
   cags-encode procedural:size=60000,frames=60 room.cags    the embedded dynamic room
   cags-encode captures/plant.splat plant.cags              a static capture
   cags-encode frames/ clip.cags --fps 30 --frames 90       a folder of numbered files
-  cags-encode fourd:frames=100,shuffle=1 clip.cags         a generated 4D clip, identities withheld
+  cags-encode fourd:frames=100,shuffle=1 clip.cags         a generated 4D clip, without identities
   cags-encode clip.ply s3://bucket/clip --json             any fsspec URL; a summary for programs
   cags-encode frames/ clip.cags --scheduler tcp://10.0.0.5:8786    on the workers of a dask cluster
-  cags-encode --inspect clip.cags --plot clip.png          frames, levels, codebooks, quality
-  cags-encode --verify s3://bucket/clip                    every CRC, everything decoded
+  cags-encode --inspect clip.cags --plot clip.png          frames, quality levels, codebooks, quality
+  cags-encode --verify s3://bucket/clip                    check every CRC and decode everything
   cags-encode --export clip.cags 12:5 frame12.ply          frame 12 at LoD 5, for other viewers
   cags-encode clip.ply clip.cags --view view.json          title, background and first view, as the page saves them
-  cags-encode --set-view clip.cags view.json               the same, for a bundle that is there
+  cags-encode --set-view clip.cags view.json               the same for an existing bundle
   cags-encode --publish clip.cags site/                    page and bundle for any web host"""
 
 
-LOOKS = ("inspect", "verify", "export", "set_view", "publish")
-"""Flags that do something else than encode."""
+OTHER_COMMANDS = ("inspect", "verify", "export", "set_view", "publish")
+"""Flags that do something other than encode."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -48,51 +48,51 @@ def _parser() -> argparse.ArgumentParser:
         metavar="SCENE",
         nargs="?",
         help="scene: a file, a folder of numbered files, motion:PATH, procedural[:size=..,..] or fourd[:splats=..,..]; "
-        "with any of them shuffle=1 and quantise=sog|spz",
+        "each takes the options shuffle=1 and quantise=sog|spz",
     )
     parser.add_argument(
         "out", metavar="OUT", nargs="?", help="bundle to write: a folder or an fsspec URL; replaced if it exists"
     )
     parser.add_argument("--json", action="store_true", help="print the summary as one JSON object")
-    looking = parser.add_mutually_exclusive_group()
-    looking.add_argument(
+    commands = parser.add_mutually_exclusive_group()
+    commands.add_argument(
         "--inspect", metavar="BUNDLE", help="describe a bundle: frames, quality layers, codebooks, bytes"
     )
-    looking.add_argument(
+    commands.add_argument(
         "--verify", metavar="BUNDLE", help="check every CRC and decode everything; exits with 1 if anything is damaged"
     )
-    looking.add_argument(
+    commands.add_argument(
         "--export",
         nargs=3,
         metavar=("BUNDLE", "FRAME[:LOD]", "FILE"),
         help="write one frame, at a quality level, as .ply, .compressed.ply, .spz, .sog or .splat",
     )
-    looking.add_argument(
+    commands.add_argument(
         "--set-view",
         nargs=2,
         metavar=("BUNDLE", "FILE"),
-        help="give a bundle the author's view in a JSON file, and a thumbnail of it; nothing else is encoded again",
+        help="store the author's view from a JSON file in a bundle, and a thumbnail of it, without encoding again",
     )
-    looking.add_argument(
+    commands.add_argument(
         "--publish",
         nargs=2,
         metavar=("BUNDLE", "FOLDER"),
         help="write the bundle and the page that plays it to a new folder, for any web host that serves byte ranges",
     )
-    parser.add_argument("--plot", metavar="FILE", help="with --inspect: a plot of the same, as .png, .svg or .pdf")
+    parser.add_argument("--plot", metavar="FILE", help="with --inspect: also save a plot, as .png, .svg or .pdf")
     add_settings(parser, CommandSettings)
     return parser
 
 
 def _run(argv: Sequence[str]) -> None:
     arguments = _parser().parse_args(argv)
-    names = [name for name in LOOKS if getattr(arguments, name)]
+    names = [name for name in OTHER_COMMANDS if getattr(arguments, name)]
     if arguments.plot and not arguments.inspect:
-        raise ConfigError("--plot draws what --inspect BUNDLE finds; give that too")
+        raise ConfigError("--plot draws the results of --inspect; add --inspect BUNDLE")
     if names and (arguments.scene or arguments.out):
-        raise ConfigError(f"{arguments.scene!r}: --{names[0].replace('_', '-')} takes no scene to encode")
+        raise ConfigError(f"{arguments.scene!r}: --{names[0].replace('_', '-')} takes no SCENE or OUT")
     if names and (given := given_flags(arguments, CommandSettings)):
-        raise ConfigError(f"--{given[0]} is for encoding: --{names[0].replace('_', '-')} leaves it out")
+        raise ConfigError(f"--{given[0]} is an option of encoding; leave it out with --{names[0].replace('_', '-')}")
     if arguments.inspect:
         _inspect(arguments.inspect, arguments.plot, as_json=arguments.json)
     elif arguments.verify:
@@ -111,7 +111,7 @@ def _encode(arguments: argparse.Namespace) -> None:
     if not arguments.scene or not arguments.out:
         raise ConfigError("SCENE and OUT are needed; cags-encode --help shows examples")
     settings = load_settings(CommandSettings, arguments)
-    # Heavy imports wait until the arguments are known to be good: --help answers at once.
+    # Heavy imports come after the arguments are checked, so that --help answers at once.
     from cags_common.bundle import BundleReader
     from cags_encoder.bundles.describe import summarise
     from cags_encoder.cache import content_key, resume_folder
@@ -130,10 +130,10 @@ def _encode(arguments: argparse.Namespace) -> None:
     pruned = found["pruning"]
     text = (
         f"{out}: {found['frames']} frames, {found['lods']} LoDs, {found['bytes_tiles'] / 1e3:,.1f} kB of tiles, "
-        f"first frame {found['bytes_first_frame'] / 1e3:,.1f} kB ({found['bytes_a_splat']:.2f} bytes a splat)"
+        f"first frame {found['bytes_first_frame'] / 1e3:,.1f} kB ({found['bytes_a_splat']:.2f} bytes per splat)"
     )
     if pruned:
-        text += f"; pruned to {pruned['splats_after']} splats, {pruned['psnr_db']:.2f} dB against all"
+        text += f"; pruned to {pruned['splats_after']} splats, {pruned['psnr_db']:.2f} dB relative to all splats"
     _say(found, text, as_json=arguments.json)
 
 
@@ -158,7 +158,7 @@ def _verify(url: str, *, as_json: bool) -> None:
         payloads = verify(reader, url, lambda done, total: progress("verify", done, total))
         frames = reader.manifest.frames
     found = {"bundle": url, "whole": True, "frames": frames, "payloads": payloads}
-    _say(found, f"{url}: whole: {frames} frames, {payloads} payloads decode and have their CRC", as_json=as_json)
+    _say(found, f"{url}: intact: {frames} frames, {payloads} payloads with valid CRC decoded", as_json=as_json)
 
 
 def _export(url: str, place: str, file: str, *, as_json: bool) -> None:
@@ -175,7 +175,7 @@ def _set_view(url: str, file: str, *, as_json: bool) -> None:
 
     view = read_view(file)
     set_view(url, view)
-    _say({"bundle": url, "view": view.table()}, f"{url}: opens as {file} says", as_json=as_json)
+    _say({"bundle": url, "view": view.table()}, f"{url}: view of {file} stored", as_json=as_json)
 
 
 def _publish(url: str, folder: str, *, as_json: bool) -> None:
@@ -186,7 +186,7 @@ def _publish(url: str, folder: str, *, as_json: bool) -> None:
         f"{folder}: {written.files} files, {written.bytes / 1e6:.1f} MB; upload them to any web host that serves ranges"
     )
     if not written.page:
-        text += "; the viewer's page is not built here and not among them"
+        text += "; without the viewer's page, which is not built on this machine"
     _say(asdict(written), text, as_json=as_json)
 
 

@@ -1,8 +1,8 @@
-"""The frames of a clip, encoded in parallel and written in order.
+"""Encodes the frames of a clip in parallel and writes them in order.
 
-Frames pass through a chain: read (parallel), link and give ids (in order), quantise (parallel), compare with what the
-decoder holds (in order), pack (parallel), write (in order). Each link draws only as many frames as keep the workers
-busy, which bounds memory, and nothing depends on which worker is done first.
+The stages: read (parallel), link and assign ids (in order), quantise (parallel), compare with the decoder's copy (in
+order), pack (parallel), write (in order). Each stage requests only as many frames as keep the workers busy, which
+bounds memory. The result does not depend on which worker finishes first.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from cags_encoder.tracks.placing import ClipPlacer, Placed
 
 @dataclass(frozen=True, eq=False)
 class _Chosen:
-    """What a frame sends, still to be packed."""
+    """Content of a frame, before packing."""
 
     frame: Placed
     source: bytes
-    """The unquantised changes, packed."""
+    """The packed unquantised changes."""
     tiles: tuple[AnyCut, ...]
 
 
@@ -47,7 +47,7 @@ class ClipEncoder:
         self._settings, self._writer, self._workers = settings, writer, workers
         self.placer = ClipPlacer(source.name, settings.gof_frames)
         self.capacity: list[int] = []
-        """For each group, one more than its largest id."""
+        """For each group, its largest id plus one."""
         self._gof: GofWriter | None = None
 
     def run(
@@ -58,10 +58,10 @@ class ClipEncoder:
         motion: MotionSteps | None = None,
         tolerances: Tolerances = Tolerances(),  # noqa: B008 - it is frozen
     ) -> None:
-        """Encode ``count`` frames; what ``journal`` has is not packed again. ``tell`` takes the number of those done.
+        """Encode ``count`` frames; those in ``journal`` are not packed again. ``tell`` gets the number finished.
 
-        With ``motion`` splats keep their looks and move in these units, as exactly as ``tolerances`` ask; without, what
-        changes is sent anew.
+        With ``motion``, splats keep their looks and their motion is coded in these units, with the accuracy of
+        ``tolerances``. Without it, changed splats are sent again.
         """
         looks = ahead(self._workers, look, range(count), lambda index: (self._source, index))
         placed = self.placer.place(looks)
@@ -86,7 +86,7 @@ class ClipEncoder:
             yield item.frame, record
 
     def _differing(self, placed: Iterable[Placed]) -> Iterator[_Chosen]:
-        """Splats that changed, whole (paper, section "Differential frames")."""
+        """Changed splats, sent whole (paper, section "Differential frames")."""
         held = DecoderCopy(self._codec.get(), self._settings.change_threshold)
         items = ahead(self._workers, quantise, placed, lambda frame: (self._codec, frame.delta, frame.key))
         for frame, quantised in items:
@@ -95,7 +95,7 @@ class ClipEncoder:
             yield _Chosen(frame, quantised.source, held.send(frame.delta, quantised))
 
     def _moving(self, placed: Iterable[Placed], motion: MotionSteps, tolerances: Tolerances) -> Iterator[_Chosen]:
-        """Looks once, attributes where they change, and motion apart from both."""
+        """Looks sent once, changed attributes, and motion."""
         codec, span = self._codec.get(), self._settings.motion_span
         assert isinstance(codec, SvqCodec)
         trails = Trails(span, SHARE * self._settings.change_threshold)

@@ -39,7 +39,7 @@ _STEPS = 7
 _FRAMES_HELD = 3
 """Number of frames without identities whose order is cached: those for measuring the loss."""
 
-Tell: TypeAlias = Callable[[int, int], None]
+OnStep: TypeAlias = Callable[[int, int], None]
 """Called with completed steps and total steps."""
 
 
@@ -83,22 +83,22 @@ class PrunedSource:
 
     @property
     def name(self) -> str:
-        """The scene's."""
+        """Name of the scene."""
         return self._source.name
 
     @property
     def fps(self) -> float:
-        """The scene's."""
+        """Frame rate of the scene."""
         return self._source.fps
 
     @property
     def up(self) -> Vec3:
-        """The scene's."""
+        """Up direction of the scene."""
         return self._source.up
 
     @property
     def focus(self) -> Focus:
-        """The scene's."""
+        """Focus of the scene."""
         return self._source.focus
 
     def __len__(self) -> int:
@@ -154,37 +154,37 @@ class PruningJudge:
         return [(np.clip(view.rgb, 0, 1), view.alpha) for view in views]
 
 
-def prune(source: FrameSource, share: float, frames: int, tell: Tell) -> tuple[PrunedSource, Pruning]:
+def prune(source: FrameSource, share: float, frames: int, on_step: OnStep) -> tuple[PrunedSource, Pruning]:
     """The scene without a ``share`` of its splats, and its loss."""
     pruned = PrunedSource(source, Ranking(source, frames), share)
-    tell(1, 2)
+    on_step(1, 2)
     cost = PruningJudge(source, frames)(pruned)
-    tell(2, 2)
+    on_step(2, 2)
     return pruned, cost
 
 
-def prune_within(source: FrameSource, psnr_db: float, frames: int, tell: Tell) -> tuple[PrunedSource, Pruning]:
+def prune_within(source: FrameSource, psnr_db: float, frames: int, on_step: OnStep) -> tuple[PrunedSource, Pruning]:
     """The scene with as few splats as ``psnr_db`` permits, and its loss."""
     ranking, judge = Ranking(source, frames), PruningJudge(source, frames)
     best = PrunedSource(source, ranking, 0.0)
     cost, too_many = judge(best), MOST
     for step in range(_STEPS):
-        tell(step, _STEPS)
+        on_step(step, _STEPS)
         tried = PrunedSource(source, ranking, (best.share + too_many) / 2)
         found = judge(tried)
         if found.psnr_db >= psnr_db:
             best, cost = tried, found
         else:
             too_many = tried.share
-    tell(_STEPS, _STEPS)
+    on_step(_STEPS, _STEPS)
     return best, cost
 
 
 def _clip_order(source: FrameSource, frames: int) -> Ids:
     """A clip's identities by their largest contribution in any sampled frame, ascending."""
     best: NDArray[np.float64] = np.full(0, -1.0)
-    looks = np.unique(np.linspace(0, frames - 1, min(SAMPLED_FRAMES, frames)).astype(int))
-    for index in looks:
+    sampled = np.unique(np.linspace(0, frames - 1, min(SAMPLED_FRAMES, frames)).astype(int))
+    for index in sampled:
         ids = source.ids(int(index))
         assert ids is not None
         more = int(ids.max()) + 1 - len(best)

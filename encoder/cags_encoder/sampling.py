@@ -10,22 +10,22 @@ from cags_common.errors import SceneError
 from cags_common.splats import Splats
 
 LOOKS = 240
-"""Frames looked at, evenly over the clip."""
+"""Number of frames sampled, evenly over the clip."""
 
 FIRST_SHARE = 0.5
-"""Share of the subset from the first frame, of which viewers see every splat."""
+"""Share of the subset that comes from the first frame, all of whose splats every viewer sees."""
 
 
 def looked_at(frames: int) -> list[int]:
-    """The frames to draw from, of a clip of ``frames``, ascending from 0."""
+    """Indices of the frames to sample in a clip of ``frames``, ascending from 0."""
     return [int(index) for index in np.unique(np.linspace(0, frames - 1, min(LOOKS, frames)).astype(int))]
 
 
 def training_splats(name: str, looks: int, frames: Iterable[tuple[int, Splats]], count: int, seed: int) -> Splats:
-    """At most ``count`` splats: from the first frame, and of later ones those that are not bit-identical to it.
+    """At most ``count`` splats: from the first frame, and from later frames those that are not bit-identical to it.
 
-    ``frames`` are those of :func:`looked_at`, ``looks`` in number, with their indices; ``name`` is the scene's, for
-    errors. Deterministic for a seed. Raises :class:`SceneError`.
+    ``frames`` are the ``looks`` frames of :func:`looked_at` with their indices; ``name`` names the scene in errors.
+    Deterministic for a seed. Raises :class:`SceneError`.
     """
     random, coming = np.random.default_rng(seed), iter(frames)
     first = next(coming)[1]
@@ -40,7 +40,7 @@ def training_splats(name: str, looks: int, frames: Iterable[tuple[int, Splats]],
 
 
 def check_degree(splats: Splats, degree: int, where: str) -> None:
-    """Raise :class:`SceneError` naming ``where`` unless ``splats`` have this SH degree: a clip has one."""
+    """Raise :class:`SceneError` naming ``where`` unless ``splats`` have this SH degree. A clip has one degree."""
     if splats.sh_degree != degree:
         raise SceneError(f"{where}: SH degree {splats.sh_degree}, but {degree} before; make the frames equal")
 
@@ -52,7 +52,7 @@ def _draw(splats: Splats, count: int, random: np.random.Generator) -> Splats:
 
 
 def _row_keys(splats: Splats) -> np.ndarray:
-    """A 64-bit mix of each splat's bits (but not its place): equal rows have equal keys."""
+    """64-bit hash of each splat's bits without its position."""
     n = len(splats)
     keys = np.zeros(n, np.uint64)
     for name, array in splats.arrays():

@@ -1,4 +1,4 @@
-"""Cutting a frame into tiles."""
+"""Cuts frames into tiles."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from cags_encoder.codecs.registry import CodedSplats
 
 @dataclass(frozen=True, eq=False)
 class CutTile:
-    """One tile, still to be packed."""
+    """One tile, before packing."""
 
     ids: Ids  # [n] ascending
     id_range: bool
-    """Whether the ids count up from the first without gaps (key frames)."""
+    """Whether ids are consecutive (key frames)."""
     bounds: tuple[Vec3, Vec3]
     coded: CodedSplats  # [n]
 
@@ -26,7 +26,7 @@ class CutTile:
 def cut_tiles(ids: Ids, means: F32, coded: CodedSplats, *, largest: int, id_range: bool) -> tuple[CutTile, ...]:
     """Cut splats ``ids`` [n] at ``means`` [n, 3] into tiles of at most ``largest``.
 
-    With ``id_range`` they are in Morton order already and their ids count up from 0; otherwise they are put in Morton
+    If ``id_range``, splats are in Morton order already and their ids count up from 0. Otherwise they are put in Morton
     order, cut, and sorted by id within each tile.
     """
     order = np.arange(len(ids)) if id_range else morton_order(means)

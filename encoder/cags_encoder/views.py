@@ -1,4 +1,4 @@
-"""Views from where viewers stand, and what each splat contributes to them."""
+"""Views from likely viewpoints, and the contribution of each splat to them."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from cags_encoder.scenes import Focus
 
 WIDTH_PX, HEIGHT_PX, FOV_RAD = 400, 300, math.radians(55)
 DISTANCES = (1.4, 2.2)
-"""Radii from the centre that views alternate between: inside the range where scenes have sensible views."""
+"""Distances from the centre, in radii, between which views alternate: within the range of sensible views."""
 
 HEIGHTS = (0.25, 0.25, 0.7)
-"""Height above the centre that views alternate between, against one aside."""
+"""Heights above the centre of successive views, relative to the horizontal distance."""
 
 
 def near_plane(focus: Focus) -> float:
@@ -26,7 +26,7 @@ def near_plane(focus: Focus) -> float:
 
 
 def cameras_around(focus: Focus, up: Vec3, views: int, phase: float = 0.3) -> list[Camera]:
-    """``views`` from around the focus, above it, looking at it. ``phase`` turns all of them, in steps between two."""
+    """``views`` cameras around and above the focus, looking at it, turned by ``phase`` of the angle between two."""
     upward = np.asarray(up) / np.linalg.norm(up)
     aside = np.cross(upward, np.eye(3)[np.argmin(np.abs(upward))])
     aside /= np.linalg.norm(aside)
@@ -36,15 +36,15 @@ def cameras_around(focus: Focus, up: Vec3, views: int, phase: float = 0.3) -> li
     out = []
     for view in range(views):
         turn = 2 * math.pi * (view + phase) / views
-        way = math.cos(turn) * aside + math.sin(turn) * ahead + HEIGHTS[view % len(HEIGHTS)] * upward
-        x, y, z = np.asarray(focus.centre) + focus.radius * DISTANCES[view % 2] * way
+        direction = math.cos(turn) * aside + math.sin(turn) * ahead + HEIGHTS[view % len(HEIGHTS)] * upward
+        x, y, z = np.asarray(focus.centre) + focus.radius * DISTANCES[view % 2] * direction
         pose = Pose.looking_at((float(x), float(y), float(z)), focus.centre, up)
         out.append(Camera(intrinsics, pose, near_plane(focus)))
     return out
 
 
 def contributions(splats: Splats, cameras: Sequence[Camera], rasteriser: Rasteriser) -> F64:
-    """What each splat [n] adds to pictures: its compositing weights summed over the pixels of all views."""
+    """Contribution of each splat [n]: its compositing weights, summed over the pixels of all views."""
     options = RenderOptions(depth=DepthKind.NONE, contribution=True)
     scene, total = rasteriser.load(splats), np.zeros(len(splats))
     for camera in cameras:

@@ -50,6 +50,8 @@ class FrameRecord:
     left: float | None = 0.0
     """The same after correction; None: nobody looked."""
     visible_tiles: int = 0
+    level: float = 0.0
+    """Levels that the client holds of the looks in view, in the mean over the picture."""
     upgrades: int = 0
     reference_late: bool = False
     no_place: bool = False
@@ -85,19 +87,24 @@ class StreamStats:
     """Totals and recent records of one client."""
 
     records: deque[FrameRecord] = field(default_factory=lambda: deque(maxlen=MAX_RECORDS))
+    levels: int = 0
+    """Of the scene's tiles."""
     frames: int = 0
     frames_skipped: int = 0
+    frames_in_time: int = 0
+    """Played frames whose data the client had at their display."""
+    frames_late: int = 0
+    """And those whose data came later."""
+    stalls: int = 0
+    """Runs of late ones."""
     references_late: int = 0
     references: int = 0
     bytes_tiles: int = 0
     bytes_reference: int = 0
     bytes_other: int = 0
     bytes_dropped: int = 0
-    render_ns: int = 0
-    mirror_ns: int = 0
     mirror_bytes: int = 0
     """Memory of the copy of what the client shows."""
-    encode_ns: int = 0
     careful: ReferenceCosts = field(default_factory=ReferenceCosts)
     light: ReferenceCosts = field(default_factory=ReferenceCosts)
     """What references took, those that were coded lightly apart; drawings that only look are in neither."""
@@ -111,13 +118,15 @@ class Totals:
 
     sessions: int = 0
     frames: int = 0
+    frames_skipped: int = 0
+    frames_in_time: int = 0
     frames_late: int = 0
+    stalls: int = 0
     references: int = 0
+    references_late: int = 0
     bytes_tiles: int = 0
     bytes_reference: int = 0
     bytes_other: int = 0
-    render_ns: int = 0
-    encode_ns: int = 0
     careful: ReferenceCosts = field(default_factory=ReferenceCosts)
     light: ReferenceCosts = field(default_factory=ReferenceCosts)
 
@@ -126,12 +135,14 @@ class Totals:
         self.sessions += 1
         self.frames += stats.frames
         self.references += stats.references
-        self.frames_late += stats.frames_skipped + stats.references_late
+        self.frames_skipped += stats.frames_skipped
+        self.frames_in_time += stats.frames_in_time
+        self.frames_late += stats.frames_late
+        self.stalls += stats.stalls
+        self.references_late += stats.references_late
         self.bytes_tiles += stats.bytes_tiles
         self.bytes_reference += stats.bytes_reference
         self.bytes_other += stats.bytes_other
-        self.render_ns += stats.render_ns
-        self.encode_ns += stats.encode_ns
         self.careful += stats.careful
         self.light += stats.light
 

@@ -14,7 +14,7 @@ import pytest
 
 from support.siege import assert_others_are_well, attack, keep, watching
 
-FLOODS = ["evictions", "poses", "seeks", "clock-jump", "stalled:4", "storm:10"]
+FLOODS = ["evictions:900", "poses:900", "seeks:900", "clock-jump:11", "stalled:4", "storm:10"]
 """Each within the quotas."""
 
 EVERY = [*FLOODS, "half-requests", "garbage", "connection-storm", "silent-sockets", "storm:60"]
@@ -25,16 +25,13 @@ DOOR = ["half-requests", "garbage", "connection-storm"]
 
 
 @pytest.mark.siege
-def test_floods_within_the_quotas_then_a_crowd_at_the_door(bundle: Path, tmp_path: Path) -> None:
-    with keep(bundle, tmp_path, descriptors=1024) as server:
-        assert_others_are_well(server, FLOODS, DOOR)
-
-
-@pytest.mark.siege
-def test_silent_websockets_and_a_storm_of_reconnects_keep_nobody_out(bundle: Path, tmp_path: Path) -> None:
-    """Not those who hold the token, nor who watches: fifty strangers a second join, are refused, and come again."""
-    with keep(bundle, tmp_path, "--token", "secret", "--max-clients", "8", descriptors=1024) as server:
-        assert_others_are_well(server, ["silent-sockets:200"], ["storm:50"], token="secret")
+def test_floods_by_viewers_then_crowds_at_the_door_hurt_nobody(bundle: Path, tmp_path: Path) -> None:
+    """One server, one siege after the other: floods within the quotas by holders of the token; then strangers: half
+    requests, nonsense and resets; 200 silent WebSockets; fifty a second who join, are refused, and come again.
+    """
+    floods = [f"{each}:secret" for each in FLOODS]
+    with keep(bundle, tmp_path, "--token", "secret", "--max-clients", "16", descriptors=1024) as server:
+        assert_others_are_well(server, floods, DOOR, ["silent-sockets:200"], ["storm:50"], token="secret")
 
 
 @pytest.mark.nightly

@@ -41,7 +41,7 @@ WRONG = {
     "cags-encode procedural:frobs=1 out": (2, "known: size"),
     "cags-shaper --to nonsense {steady}": (2, "HOST:PORT"),
     "cags-shaper --to 127.0.0.1:1 {steady} --delay-ms -5": (2, "60000"),
-    "cags-encode --verify {bundle} --frames 3": (2, "--frames is for encoding"),
+    "cags-encode --verify {bundle} --frames 3": (2, "--frames is an option of encoding"),
     "cags-demo --frames x": (2, "'x'"),
     "cags-demo --view --json": (2, "leave --view out"),
     # files and folders
@@ -55,7 +55,7 @@ WRONG = {
     "cags-client --url {nobody} --truth nowhere": (1, "no such folder"),
     "cags-client --url {nobody} --json /nowhere/x.jsonl": (1, "make it first"),
     "cags-encode nowhere out": (1, "or 'procedural'"),
-    "cags-encode {empty} out": (1, "known are .ply"),
+    "cags-encode {empty} out": (1, "supported are .ply"),
     "cags-encode notes.txt out": (1, "known: .ply"),
     "cags-encode broken.ply out": (1, "check the file's type"),
     "cags-encode procedural:size=500,frames=1 {full}": (1, "give another name"),

@@ -1,4 +1,4 @@
-"""Clients that mean ill: ``python -m support.attackers PORT NAME[:ARGUMENT] ..`` runs until it is killed."""
+"""Clients that mean ill: ``python -m support.attackers PORT NAME[:ARGUMENT[:TOKEN]] ..`` runs until it is killed."""
 
 from __future__ import annotations
 
@@ -141,24 +141,24 @@ def _now_us() -> int:
     return time.monotonic_ns() // 1000
 
 
-async def evictions(port: int, rate: str = "900") -> None:
+async def evictions(port: int, rate: str = "900", token: str = "") -> None:
     """Acknowledgements with as many evicted records as one may have, within the quota of messages."""
     records = tuple(InventoryEntry(2**30 + i, i, 1) for i in range(512))
     data = encode(Ack((SeqRange(0, 0),), 1, 0, 0, records))
-    await _flood(port, lambda number: data, float(rate))
+    await _flood(port, lambda number: data, float(rate), token)
 
 
-async def poses(port: int, rate: str = "900") -> None:
+async def poses(port: int, rate: str = "900", token: str = "") -> None:
     """Poses at the edge of the quotas."""
     pose = Pose.identity()
 
     def message(number: int) -> bytes:
         return encode(PoseBatch((PoseSample(_now_us(), pose), PoseSample(_now_us() + 1, pose))))
 
-    await _flood(port, message, float(rate))
+    await _flood(port, message, float(rate), token)
 
 
-async def seeks(port: int, rate: str = "900") -> None:
+async def seeks(port: int, rate: str = "900", token: str = "") -> None:
     """Jumps to and fro, each of which takes everything back and asks for a new picture."""
 
     def message(number: int) -> bytes:
@@ -166,10 +166,10 @@ async def seeks(port: int, rate: str = "900") -> None:
             return encode(KeyframeRequest(number))
         return encode(Control("seek" if number % 4 else "play", number % 20, _now_us() + 100_000))
 
-    await _flood(port, message, float(rate))
+    await _flood(port, message, float(rate), token)
 
 
-async def clock_jump(port: int, days: str = "11") -> None:
+async def clock_jump(port: int, days: str = "11", token: str = "") -> None:
     """A paused viewer whose clock leaps."""
     leap_us = round(float(days) * 86_400e6)
 
@@ -178,16 +178,16 @@ async def clock_jump(port: int, days: str = "11") -> None:
             return encode(Control("pause", 3, _now_us()))
         return encode(PoseBatch((PoseSample(_now_us() + (leap_us if number > 20 else 0), Pose.identity()),)))
 
-    await _flood(port, message, 30.0)
+    await _flood(port, message, 30.0, token)
 
 
-async def stalled(port: int, count: str = "8") -> None:
+async def stalled(port: int, count: str = "8", token: str = "") -> None:
     """Join, and take nothing any more."""
 
     async def one() -> None:
         while True:
             with contextlib.suppress(NetworkError, OSError):
-                transport = await joined(port)
+                transport = await joined(port, token=token)
                 await transport.recv()
                 began = time.monotonic()
                 while time.monotonic() - began < 30:
@@ -198,12 +198,12 @@ async def stalled(port: int, count: str = "8") -> None:
     await asyncio.gather(*(one() for _ in range(int(count))))
 
 
-async def storm(port: int, rate: str = "40") -> None:
+async def storm(port: int, rate: str = "40", token: str = "") -> None:
     """Join, take the first message, reset: again and again."""
 
     async def one() -> None:
         with contextlib.suppress(NetworkError, OSError):
-            transport = await joined(port)
+            transport = await joined(port, token=token)
             with contextlib.suppress(ConnectionEndedError):
                 await transport.recv()
             transport.abort()
@@ -230,7 +230,7 @@ ATTACKS: dict[str, Any] = {
 
 
 async def run(port: int, wanted: list[str]) -> None:
-    """Several attacks beside each other, each as ``NAME`` or ``NAME:ARGUMENT``."""
+    """Several attacks beside each other, each as ``NAME``, ``NAME:ARGUMENT`` or ``NAME:ARGUMENT:TOKEN``."""
     print("ready", flush=True)
     running = []
     for each in wanted:

@@ -120,6 +120,12 @@ def keep(bundle: Path, folder: Path, *flags: str, descriptors: int | None = None
         process.stdout.close()
 
 
+def _set() -> asyncio.Event:
+    event = asyncio.Event()
+    event.set()
+    return event
+
+
 @dataclass
 class Viewer:
     """A viewer who means well: joins, plays in a loop, and notes when what came."""
@@ -129,6 +135,8 @@ class Viewer:
     header: bool = True
     tls: ssl.SSLContext | None = None
     rate_fps: float = FPS
+    taking: asyncio.Event = field(default_factory=_set)
+    """Cleared: it takes nothing from the connection until it is set again."""
     join_s: float | None = None
     """From the first packet to the Welcome."""
     arrivals: list[float] = field(default_factory=list)
@@ -166,7 +174,9 @@ class Viewer:
             while not session.closed:
                 for data in session.data_to_send(now_us()):
                     await transport.send(data)
-                session.receive(await transport.recv(), now_us=now_us())
+                data = await transport.recv()
+                await self.taking.wait()
+                session.receive(data, now_us=now_us())
                 while (event := session.next_event()) is not None:
                     self._on_event(event, session, began)
         finally:
@@ -215,12 +225,16 @@ async def watching(url: str, count: int = 2, **named: Any) -> AsyncIterator[list
                 await asyncio.sleep(0.05)
         yield viewers
     finally:
-        for task in tasks:
-            task.cancel()
-        results = await asyncio.gather(*tasks, return_exceptions=True)
-        for result in results:
-            if isinstance(result, Exception) and not isinstance(result, asyncio.CancelledError):
-                raise result
+        await ended(tasks)
+
+
+async def ended(tasks: Sequence[asyncio.Task[None]]) -> None:
+    """Cancel them; raises what one of them has failed with."""
+    for task in tasks:
+        task.cancel()
+    for result in await asyncio.gather(*tasks, return_exceptions=True):
+        if isinstance(result, Exception):
+            raise result
 
 
 async def until(holds: Callable[[], bool], what: str) -> None:
@@ -242,7 +256,7 @@ async def frames_go_on(viewers: Sequence[Viewer]) -> None:
 
 @contextmanager
 def attack(port: int, *attacks: str) -> Iterator[None]:
-    """Some of :mod:`support.attackers`, each as ``NAME`` or ``NAME:ARGUMENT``, until the block ends."""
+    """Some of :mod:`support.attackers`, each as ``NAME[:ARGUMENT[:TOKEN]]``, until the block ends."""
     here = Path(__file__).parent.parent
     command = [sys.executable, "-m", "support.attackers", str(port), *attacks]
     with subprocess.Popen(command, cwd=here, stdout=subprocess.PIPE, text=True) as process:

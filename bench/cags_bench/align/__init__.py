@@ -1,1 +1,1 @@
-"""Time of the client's frame with what references say, and of the server's references."""
+"""Time of a client's frame with references, and of the server's work for references."""

@@ -1,4 +1,4 @@
-"""``cags-bench align``: what a client's frame takes with differences and pictures, and what its references cost."""
+"""``cags-bench align``: time of a client's frame with differences and pictures, and the server's cost of references."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cags_bench.align.settings import AlignBenchSettings
 from cags_common.settings import add_settings, load_settings
 
 SUMMARY = (
-    "Time of the client's frame: drawn, and what references say sampled by depth and added; and of the server's work "
+    "Measure the time of a client's frame, drawn and corrected by a reference, and of the server's work "
     "for a reference."
 )
 EXAMPLES = """\
@@ -22,12 +22,12 @@ EXAMPLES = """\
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of the subcommand."""
+    """Add the command's flags."""
     add_settings(parser, AlignBenchSettings)
 
 
 def run(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """A line a size and way to work, a line a number of clients, then a summary. Raises :class:`CagsError`."""
+    """One line per size and method, one per number of clients, then a summary. Raises :class:`CagsError`."""
     settings = load_settings(AlignBenchSettings, args)
     from cags_bench.align.measure import measure
 

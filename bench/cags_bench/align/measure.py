@@ -28,10 +28,10 @@ RASTER, DIFFERENCE, PICTURE, CORRECT = "raster", "raster, difference", "raster, 
 GPU_RASTER, GPU_DIFFERENCE = "gpu raster", "gpu raster, difference"
 
 CORRECT_MS = {"1600x1200": 6.0, "800x600": 3.0}
-"""Time limit for correcting a frame whose difference is new, milliseconds."""
+"""Time limit to correct a frame with a new difference, milliseconds."""
 
 FRAME_MS = {"800x600": 20.0}
-"""Time limit for the whole frame with it, milliseconds."""
+"""Time limit for the whole frame with a new difference, milliseconds."""
 
 Works = Mapping[str, Callable[[], F32]]
 
@@ -39,7 +39,7 @@ Works = Mapping[str, Callable[[], F32]]
 def measure(settings: AlignBenchSettings) -> Iterator[JsonObject]:
     """One line per size and method, one per number of clients, then the summary with its checks."""
     if settings.device == "gpu":
-        raster.create("gpu")  # refuse a device that is not there before a scene is encoded
+        raster.create("gpu")  # refuse a missing device before encoding
     bundle = cached_bundle(settings.scene, settings.cache, EncodeSettings(frames=settings.frames))
     lines: list[JsonObject] = []
     with BundleReader.open(str(bundle)) as reader:
@@ -96,7 +96,7 @@ def _works(view: View, settings: AlignBenchSettings) -> dict[str, Callable[[], F
 
 
 def _gpu_works(view: View, settings: AlignBenchSettings) -> dict[str, Callable[[], F32]]:
-    """The frame made on the device, as bytes for display."""
+    """Frames made on the device, as bytes for display."""
     from cags_gpu.correct import shown
     from cags_gpu.raster import GpuScene
 
@@ -111,7 +111,7 @@ def _gpu_works(view: View, settings: AlignBenchSettings) -> dict[str, Callable[[
 
 
 def interleaved(works: Works, repetitions: int) -> dict[str, JsonObject]:
-    """Median and spread of each piece of work in milliseconds, of wall-clock and of processor time."""
+    """Median and spread of wall-clock and processor time of each piece of work, in milliseconds."""
     walls: dict[str, list[float]] = {name: [] for name in works}
     processor: dict[str, list[float]] = {name: [] for name in works}
     for repetition in range(WARM_UP + repetitions):
@@ -135,7 +135,7 @@ def interleaved(works: Works, repetitions: int) -> dict[str, JsonObject]:
 
 
 def checks_of(lines: Sequence[JsonObject]) -> list[JsonObject]:
-    """Targets for the wall-clock time of the client's frame; sizes that were not measured are left out."""
+    """Targets for the wall-clock time of the client's frame, for the sizes that were measured."""
     by = {(line["size"], line["work"]): line for line in lines if line["part"] == "frame"}
     wanted = [(f"correct at {size}", by.get((size, CORRECT)), limit) for size, limit in CORRECT_MS.items()]
     wanted += [(f"whole frame at {size}", by.get((size, DIFFERENCE)), limit) for size, limit in FRAME_MS.items()]

@@ -1,4 +1,4 @@
-"""The server's cost of its clients: what one reference takes, for one client and for several of one scene."""
+"""The server's cost of a reference, for one client and for several clients of one scene."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from cags_client.settings import ClientSettings
 from cags_server.settings import ServerSettings
 
 CLIENT_PX = (400, 300)
-"""The clients' own pictures: nobody looks at them here."""
+"""Size of the clients' pictures, which are not looked at."""
 
 
 def serving_line(bundle: Path, clients: int, settings: AlignBenchSettings) -> JsonObject:
-    """Play ``bundle`` to so many clients, each on a walk of its own, from one server."""
+    """Play ``bundle`` to several clients of one server, each on its own walk."""
     base = Scenario(
         bundle,
         paper_link(bundle, settings.link_mbps),
@@ -51,6 +51,6 @@ def serving_line(bundle: Path, clients: int, settings: AlignBenchSettings) -> Js
 
 
 def _walking(base: Scenario, number: int) -> Scenario:
-    """The scenario with a walk of its own where walks are generated; recorded ones are shared."""
+    """The scenario with its own walk if walks are generated; recorded walks are shared."""
     head = base.poses.partition(":seed=")[0]
     return replace(base, poses=f"{head}:seed={number + 1}") if head.startswith("synthetic") else base

@@ -1,4 +1,4 @@
-"""What one client holds of a scene, the view that it shows, and what a server says is lacking in it."""
+"""A client's splats, its view, and the server's references for it."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ from cags_common.video.h264 import H264Decoder, H264Encoder
 from cags_server.fov import widened
 
 REFERENCE_PX = (400, 300)
-"""Width and height of references, as shipped."""
+"""Default width and height of references."""
 
 AT_US = 1_700_000
-"""When in its walk the viewer is looked at."""
+"""Time of the measured view in the walk."""
 
 KNEE = 0.06
-"""Of the compander, for differences at middle levels."""
+"""Knee of the compander, for differences at middle levels."""
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One client's view, and both kinds of reference of it from a pose that is off."""
+    """A client's view, and both kinds of reference from a pose with an error."""
 
     splats: Splats
-    """What the client holds."""
+    """The client's splats."""
     held: RasterScene
     truth: RasterScene
     camera: Camera
     difference: Reference
     picture: Reference
     own_options: RenderOptions
-    """How the client draws its own splats from the reference's camera."""
+    """Options with which the client draws its own splats from the reference's camera."""
 
     def own(self) -> F32:
-        """The client's splats from the reference's camera [h, w, 3]."""
+        """View of the client's splats from the reference's camera [h, w, 3]."""
         return self.held.render(self.picture.camera, self.own_options).rgb
 
 
@@ -58,10 +58,10 @@ def view_of(reader: BundleReader, settings: AlignBenchSettings, size: tuple[int,
     walk = open_poses(settings.poses, Focus(m.focus_centre, m.focus_radius, m.up))
     fov_y = 2 * math.atan(math.tan(math.radians(settings.fov) / 2) * size[1] / size[0])
     camera = Camera(Intrinsics.of_fov(*size, math.radians(settings.fov), fov_y), walk.pose_at(AT_US), m.near)
-    there = _reference_camera(camera, settings)
-    footprint = Footprint.of(camera.intrinsics, there.intrinsics)
+    reference_camera = _reference_camera(camera, settings)
+    footprint = Footprint.of(camera.intrinsics, reference_camera.intrinsics)
     options = RenderOptions(footprint=footprint, depth=DepthKind.NONE, threads=settings.threads)
-    seen, own = (scene.render(there, options).rgb.clip(0, 1) for scene in (truth, held))
+    seen, own = (scene.render(reference_camera, options).rgb.clip(0, 1) for scene in (truth, held))
     lack = compand(seen - own, KNEE).astype(np.float32)
     difference, picture = (_through_codec(coded, m.fps, settings.crf) for coded in (lack, seen))
     return View(
@@ -69,8 +69,8 @@ def view_of(reader: BundleReader, settings: AlignBenchSettings, size: tuple[int,
         held,
         truth,
         camera,
-        Reference(difference, there, knee=KNEE),
-        Reference(picture, there, picture=True),
+        Reference(difference, reference_camera, knee=KNEE),
+        Reference(picture, reference_camera, picture=True),
         options,
     )
 
@@ -90,7 +90,7 @@ def moved(pose: Pose, angle_rad: float, distance: float, axis: F64, step: F64) -
 
 
 def _through_codec(picture: F32, fps: float, crf: float) -> F32:
-    """What a client decodes of the first picture [h, w, 3] of a video."""
+    """The first picture [h, w, 3] of a video after coding and decoding."""
     encoder = H264Encoder(picture.shape[1], picture.shape[0], fps, crf=crf, chroma=Chroma.FULL)
     decoded = H264Decoder().decode_ycbcr(encoder.encode_ycbcr(ycbcr_of_rgb(picture), idr=True))
     assert decoded is not None, "the first picture of a video is an IDR picture"
@@ -98,5 +98,5 @@ def _through_codec(picture: F32, fps: float, crf: float) -> F32:
 
 
 def fresh(reference: Reference) -> Reference:
-    """``reference`` as one that no corrector has seen."""
+    """A copy of ``reference`` that no corrector has cached."""
     return replace(reference)

@@ -1,1 +1,1 @@
-"""Rate and distortion of the codec beside others."""
+"""Rate and distortion of the codec compared with other formats."""

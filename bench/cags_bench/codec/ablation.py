@@ -1,4 +1,4 @@
-"""The default quantiser without one of its ideas at a time."""
+"""The default quantiser with one of its features removed at a time."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ Line = dict[str, Any]
 
 @dataclass(frozen=True)
 class Variant:
-    """How a codec is made for a ladder."""
+    """Settings of a codec for a ladder."""
 
     name: str
     settings: EncodeSettings
     config: QuantiserConfig
     weighted: bool = True
-    """Codebooks weighted by what splats contribute."""
+    """Codebooks are weighted by the contributions of splats."""
     measured: bool = True
-    """LoD order by renders instead of the paper's."""
+    """The LoD order is measured on renders instead of taken from the paper."""
 
     @staticmethod
     def named(quantiser: str) -> Variant:
-        """A quantiser as it is shipped. Raises :class:`ConfigError`."""
+        """A shipped quantiser. Raises :class:`ConfigError`."""
         return Variant(quantiser, EncodeSettings(quantiser=quantiser), quantiser_config(quantiser))
 
 
@@ -48,11 +48,11 @@ VARIANTS = (
     Variant("the paper's LoD order", _SHIPPED, _with(), measured=False),
     Variant("positions of 14 bits", EncodeSettings(position_bits=14), _with()),
 )
-"""The default with one idea taken back: by what it does instead."""
+"""The default without one feature, named after its replacement."""
 
 
 def gains(lines: Sequence[Line], scene: str, default: str) -> Iterator[Line]:
-    """What each idea gives: the default's Bjontegaard gain over the variant without it, in total bytes."""
+    """Gain of each feature: the default's Bjontegaard gain over the variant without it, in total bytes."""
 
     def curve(codec: str) -> list[tuple[float, float]]:
         return [(x["bytes"], x["psnr_db"]) for x in lines if (x.get("scene"), x.get("codec")) == (scene, codec)]

@@ -1,4 +1,4 @@
-"""Bjontegaard's differences of two rate-distortion curves (ITU-T VCEG-M33), with monotone cubic interpolation."""
+"""Bjontegaard differences of two rate-distortion curves (ITU-T VCEG-M33), with monotone cubic interpolation."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ Curve = Sequence[tuple[float, float]]
 
 
 def bd_psnr_db(curve: Curve, anchor: Curve) -> float | None:
-    """Mean gain of ``curve`` over ``anchor`` in dB at equal rate, over the rates that both have; None without any."""
+    """Mean gain of ``curve`` over ``anchor`` in dB at equal rate, over their common rates; None if there are none."""
     ours, theirs = _rising(curve), _rising(anchor)
     low, high = max(ours[0][0], theirs[0][0]), min(ours[0][-1], theirs[0][-1])
     return _mean_difference(ours, theirs, low, high)
 
 
 def bd_rate(curve: Curve, anchor: Curve) -> float | None:
-    """Mean change of rate at equal quality (-0.35: 35 % fewer bytes), over the qualities that both have."""
+    """Mean change of rate at equal quality (-0.35: 35 % fewer bytes), over their common qualities."""
     ours, theirs = _rising(curve)[::-1], _rising(anchor)[::-1]
     low, high = max(ours[0][0], theirs[0][0]), min(ours[0][-1], theirs[0][-1])
     change = _mean_difference(ours, theirs, low, high)
@@ -27,7 +27,7 @@ def bd_rate(curve: Curve, anchor: Curve) -> float | None:
 
 
 def _rising(curve: Curve) -> tuple[np.ndarray, np.ndarray]:
-    """Logarithm of rate and quality, without points that cost more and show no more."""
+    """Logarithms of rates, and qualities, without points that cost more but are no better."""
     kept: list[tuple[float, float]] = []
     for rate, quality in sorted(curve):
         if not kept or (rate > kept[-1][0] and quality > kept[-1][1]):

@@ -1,4 +1,4 @@
-"""What the codec is to show, beside what it showed."""
+"""Targets of the codec and the measured values."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ DEFAULT, FINE, ANCHOR = "layered", "layered-fine", "paper-66"
 
 
 def checks(lines: Sequence[Line]) -> list[Line]:
-    """Every target that the measured ``lines`` have something to say about."""
+    """All targets that the measured ``lines`` allow to check."""
     clips = [line for line in lines if "clip" in line]
     lines = [line for line in lines if "codec" in line]
     ours = [line for line in lines if line["codec"] == DEFAULT]
@@ -63,8 +63,9 @@ def _changed(scene: str, line: Line) -> Line:
 
 
 def _beside(lines: Sequence[Line]) -> Iterator[Line]:
-    """Bytes and decoding beside other formats and their own readers, at the smallest LoD of ours that looks as good, or
-    else the best.
+    """Size and decoding time compared with other formats and their own readers.
+
+    For each, our smallest LoD of at least equal quality is used, or else our best.
     """
     for peer in lines:
         known = [taken for taken in peer.get("reader_ms", {}).values() if taken is not None]
@@ -85,7 +86,7 @@ def _beside(lines: Sequence[Line]) -> Iterator[Line]:
 
 
 def _workers(clips: Sequence[Line]) -> Iterator[Line]:
-    """Speed-up over the first line's number of workers, and equal bytes."""
+    """Speed-up relative to the first line's number of workers, and equality of bytes."""
     for line in clips[1:]:
         first = clips[0]
         faster, wanted = first["total_s"] / line["total_s"], 0.75 * line["workers"] / first["workers"]

@@ -1,4 +1,4 @@
-"""``cags-bench codec``: bytes, picture quality and times of the quantisers at every LoD, beside other formats."""
+"""``cags-bench codec``: bytes, quality and times of the quantisers at every LoD, compared with other formats."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from cags_common.errors import ConfigError
 from cags_encoder.settings import QUANTISERS
 
 SUMMARY = """\
-Bytes, picture quality and times of the quantisers at their LoDs, beside SPZ, SOG, Draco alone and gzip of the floats,
-on the same splats and views. Quality is taken over covered pixels (alpha > 0.01 in either picture)."""
+Measure bytes, picture quality and times of the quantisers at their LoDs, and of SPZ, SOG, Draco alone and gzipped
+floats, on the same splats and views. Quality is measured over covered pixels (alpha > 0.01 in either picture)."""
 
 EXAMPLES = """\
   cags-bench codec procedural:size=20000 --json
@@ -33,24 +33,30 @@ _SHARED_LPIPS = SHARED / "lpips/lpips_alex.npz"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of the command."""
+    """Add the command's flags."""
     parser.add_argument(
-        "scenes", nargs="*", metavar="SCENE", help="scenes; the shared captures beside the checkout, or procedural"
+        "scenes", nargs="*", metavar="SCENE", help="scenes (default: the shared captures, or procedural)"
     )
     parser.add_argument("--quantisers", nargs="+", default=QUANTISERS, metavar="NAME")
     parser.add_argument("--views", type=int, default=8, metavar="N", help="views around each scene (default: 8)")
-    parser.add_argument("--points", type=int, default=8, metavar="N", help="LoDs drawn of each ladder (default: 8)")
+    parser.add_argument(
+        "--points", type=int, default=8, metavar="N", help="LoDs to render for each quantiser (default: 8)"
+    )
     parser.add_argument("--width", type=int, default=640, metavar="PX", help="width of the pictures (default: 640)")
     parser.add_argument(
         "--lpips",
         metavar="FILE",
         default=str(_SHARED_LPIPS) if _SHARED_LPIPS.exists() else None,
-        help="LPIPS weights (.npz; default: those beside the checkout); without them LPIPS is left out",
+        help="LPIPS weights (.npz; default: those beside the checkout, if present)",
     )
-    parser.add_argument("--splat-transform", metavar="FOLDER", help="where npm installed @playcanvas/splat-transform")
-    parser.add_argument("--threads", type=int, default=2, metavar="N", help="threads of decoding (default: 2)")
-    parser.add_argument("--ablations", action="store_true", help="also the default without one of its ideas at a time")
-    parser.add_argument("--clip", metavar="SCENE", help="a moving scene that is encoded whole by --workers processes")
+    parser.add_argument(
+        "--splat-transform", metavar="FOLDER", help="folder in which npm installed @playcanvas/splat-transform"
+    )
+    parser.add_argument("--threads", type=int, default=2, metavar="N", help="decoding threads (default: 2)")
+    parser.add_argument(
+        "--ablations", action="store_true", help="also measure the default with one feature removed at a time"
+    )
+    parser.add_argument("--clip", metavar="SCENE", help="moving scene to encode with each number of --workers")
     parser.add_argument("--clip-frames", type=int, default=24, metavar="N", help="frames of the clip (default: 24)")
     parser.add_argument(
         "--workers", type=int, nargs="+", default=[1, 2], metavar="N", help="numbers of processes (default: 1 2)"
@@ -59,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """Yield one line a scene, codec and LoD, one a number of workers, and the summary with the targets."""
+    """Yield one line per scene, codec and LoD, one per number of workers, and the summary with the targets."""
     counts = [(name, getattr(arguments, name)) for name in ("views", "points", "repeats", "threads", "clip_frames")]
     for name, value in [*counts, *(("workers", count) for count in arguments.workers)]:
         if not 1 <= value <= 1000:
@@ -72,5 +78,5 @@ def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
 
 
 def _default_scenes() -> list[str]:
-    there = [str(SHARED / name) for name in _SHARED_SCENES if (SHARED / name).exists()]
-    return there or ["procedural:size=20000"]
+    shared = [str(SHARED / name) for name in _SHARED_SCENES if (SHARED / name).exists()]
+    return shared or ["procedural:size=20000"]

@@ -1,4 +1,4 @@
-"""The comparison: ladders of the quantisers and points of the peers, scene by scene."""
+"""The comparison: all LoDs of the quantisers and the other formats, scene by scene."""
 
 from __future__ import annotations
 

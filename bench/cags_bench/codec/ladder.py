@@ -1,4 +1,4 @@
-"""One quantiser on one scene: bytes, pictures and times of its LoDs, and of a frame of changed splats."""
+"""One quantiser on one scene: bytes, quality and times of its LoDs, and of a frame of changed splats."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def ladder(
     tiles, books = encode(codec, splats), codec.codebooks()
     changed = encode_changed(codec, splats)
     opener = TileOpener(tile_codec(_manifest(codec), books), settings.threads)
-    always = {
+    common = {
         "train_s": train_s,
         "encode_ms": median_ms(partial(encode, codec, splats), 1),
         "changed_splats": min(CHANGED_SPLATS, len(splats)),
@@ -75,13 +75,13 @@ def ladder(
             "lod": int(lod),
             **sizes(tiles, int(lod), len(books), len(splats)),
             **asdict(judge(shown())),
-            **always,
+            **common,
             "decode_ms": median_ms(shown, settings.repeats),
         }
 
 
 def train(source: FrameSource, splats: Splats, variant: Variant) -> SvqCodec:
-    """Codebooks of a sample and, with a rasteriser, the measured LoD order."""
+    """Codebooks trained on a sample and, if a rasteriser is available, the measured LoD order."""
     rows = np.sort(np.random.default_rng(0).permutation(len(splats))[:TRAIN_SPLATS])
     samples, rasteriser = splats.take(rows), create("auto")
     if rasteriser.name == "oracle":
@@ -105,7 +105,7 @@ def encode(codec: SvqCodec, splats: Splats) -> list[Tile]:
 
 
 def encode_changed(codec: SvqCodec, splats: Splats) -> Tile:
-    """A tile of a differential frame: scattered splats with their ids, as a moving object would leave them."""
+    """A tile of a differential frame: scattered splats with ids, as a moving object causes."""
     count = min(CHANGED_SPLATS, len(splats))
     ids = np.sort(np.random.default_rng(0).permutation(len(splats))[:count]).astype(np.int32)
     return codec.encode_tile(ids, codec.quantise(codec.prepare(splats.take(ids))), id_range=False)
@@ -117,7 +117,7 @@ def decode(opener: TileOpener, tiles: list[Tile], lod: int, sh_degree: int) -> S
     for opened, payloads in zip(opener.open([memoryview(tile[0]) for tile in tiles]), tiles, strict=True):
         if isinstance(opened, DecodeError):
             raise opened
-        assert isinstance(opened, OpenTile)  # a still has looks alone
+        assert isinstance(opened, OpenTile)  # a static scene has only looks
         for level in range(1, lod + 1):
             opened.state.add_layer(level, payloads[level])
         states.append(opened.state)

@@ -1,4 +1,4 @@
-"""Other ways to write the same splats down: one size, one quality each."""
+"""Other formats for the same splats, each with one size and one quality."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ DRACO_VALUE_BITS = 8
 
 @dataclass(frozen=True)
 class Peer:
-    """A format: to bytes and back."""
+    """A format: encoder, decoder and readers."""
 
     name: str
     encode: Callable[[Splats], bytes]
     decode: Callable[[bytes], Splats]
     readers: Mapping[str, Callable[[bytes, int], float | None]] = field(default_factory=dict)
-    """The format's own readers: (file, timed runs) -> median milliseconds, None where one is not installed."""
+    """The format's own readers: (file, timed runs) -> median milliseconds, None if the reader is not installed."""
 
 
 def peers(truth: Splats, tool: SplatTransform | None) -> list[Peer]:
-    """The formats compared with; ``truth`` gives the ranges and shapes that a real file would hold in its header.
+    """The other formats. ``truth`` gives the ranges and shapes that a real file would hold in its header.
 
-    SOG needs its own program, ``tool``; its k-means alone decides how good the files are.
+    SOG is written by its own program, ``tool``, because its k-means determines the quality of the files.
     """
     draco = _DracoAlone(truth)
     found = [
@@ -61,7 +61,7 @@ def _sog(tool: SplatTransform) -> Peer:
 
 
 class _DracoAlone:
-    """Positions on a grid over the whole scene and every number as a byte over its range, in one Draco cloud."""
+    """Positions on a grid over the whole scene and every other value as a byte over its range, in one Draco cloud."""
 
     def __init__(self, truth: Splats) -> None:
         names = ["means", "quats", "log_scales", "logit_opacities", "sh0", "sh_rest"]

@@ -1,6 +1,6 @@
-"""SPZ's and SOG's own programs: PlayCanvas' splat-transform (npm), with the SPZ library it ships, and gsply (PyPI).
+"""The readers of SPZ and SOG: PlayCanvas' splat-transform (npm) with its SPZ library, and gsply (PyPI).
 
-Each is optional; without it the lines that need it say what to install.
+Both are optional; if one is missing, the affected lines say what to install.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from cags_encoder.formats.ply import ply_bytes
 PACKAGE = Path("node_modules/@playcanvas/splat-transform")
 _READER = Path(__file__).with_name("reader.mjs")
 _LIMIT_S = 1200
-"""SOG's k-means of a scene with view-dependent colours takes minutes on a busy core."""
+"""SOG's k-means takes minutes for a scene with view-dependent colours on a busy core."""
 
 
 @dataclass(frozen=True)
@@ -35,19 +35,21 @@ class SplatTransform:
 
     @staticmethod
     def find(folder: str | None) -> SplatTransform | str:
-        """The package installed in ``folder``, or why it cannot run. Raises :class:`ConfigError` if it is not there."""
+        """The package installed in ``folder``, or the reason why it cannot run. Raises :class:`ConfigError` if it is
+        missing.
+        """
         if folder is None:
             return "give --splat-transform FOLDER, after `npm install @playcanvas/splat-transform` in it"
         package = Path(folder).resolve() / PACKAGE
         if not (package / "dist/index.mjs").is_file():
             raise ConfigError(
-                f"splat-transform = {folder}: {PACKAGE} is not there; run `npm install {'/'.join(PACKAGE.parts[1:])}`"
+                f"splat-transform = {folder}: {PACKAGE} is missing; run `npm install {'/'.join(PACKAGE.parts[1:])}`"
             )
         node = shutil.which("node")
         return SplatTransform(node, package) if node else "node is not on the path"
 
     def convert(self, splats: Splats, suffix: str) -> bytes:
-        """The file that the package writes of ``splats``: ``.sog`` or ``.spz``. Raises :class:`ConfigError`."""
+        """``splats`` as a file written by the package: ``.sog`` or ``.spz``. Raises :class:`ConfigError`."""
         with _folder() as folder:
             source, target = folder / "scene.ply", folder / f"scene{suffix}"
             source.write_bytes(ply_bytes(splats))
@@ -56,7 +58,7 @@ class SplatTransform:
             return target.read_bytes()
 
     def read_ms(self, data: bytes, suffix: str, repeats: int) -> float:
-        """Median time that the package's reader takes for a file in memory."""
+        """Median time of the package's reader for a file in memory."""
         with _folder() as folder:
             path = folder / f"scene{suffix}"
             path.write_bytes(data)
@@ -76,7 +78,7 @@ class SplatTransform:
 
 
 def gsply_read_ms(spz: bytes, repeats: int) -> float | None:
-    """Median time of gsply's SPZ reader, from a file in the page cache; None where gsply is not installed."""
+    """Median time of gsply's SPZ reader for a file in the page cache; None if gsply is not installed."""
     try:
         import gsply
     except ImportError:
@@ -84,7 +86,7 @@ def gsply_read_ms(spz: bytes, repeats: int) -> float | None:
     with _folder() as folder:
         path = folder / "scene.spz"
         path.write_bytes(spz)
-        gsply.read_spz(str(path))  # its functions are compiled by the first call
+        gsply.read_spz(str(path))  # the first call compiles its functions
         taken = []
         for _ in range(repeats):
             start = time.perf_counter()

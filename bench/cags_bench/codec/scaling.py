@@ -19,7 +19,7 @@ Line = dict[str, Any]
 def scaling(clip: str, frames: int, workers: Sequence[int]) -> Iterator[Line]:
     """One line per number of ``workers``: seconds by stage, and a hash of the bundle.
 
-    Starting the processes is not timed, because it does not matter for a long clip; everything else is.
+    The start of the processes is excluded, because it does not matter for a long clip.
     """
     for count in workers:
         with tempfile.TemporaryDirectory(prefix="cags-codec-") as folder, open_workers(count) as pool:
@@ -37,7 +37,7 @@ def scaling(clip: str, frames: int, workers: Sequence[int]) -> Iterator[Line]:
 
 
 class _Stages:
-    """Seconds of each stage of an encoder that tells its progress; they follow one another."""
+    """Seconds per stage, from the progress reports of an encoder; the stages run one after another."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}

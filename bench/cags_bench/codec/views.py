@@ -1,4 +1,4 @@
-"""Views around a scene, and how well splats drawn from them agree with the truth."""
+"""Views around a scene, and the quality of splats seen from them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Quality:
 
 
 def views_around(source: FrameSource, count: int, width_px: int) -> list[Camera]:
-    """``count`` cameras on a ring a little above the focus, in turn far and near."""
+    """``count`` cameras on a ring slightly above the focus, alternately far and near."""
     focus, up = source.focus, np.asarray(source.up) / np.linalg.norm(source.up)
     aside = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
     aside /= np.linalg.norm(aside)
@@ -40,15 +40,15 @@ def views_around(source: FrameSource, count: int, width_px: int) -> list[Camera]
     out = []
     for view in range(count):
         turn = 2 * math.pi * (view + 0.5) / count
-        way = math.cos(turn) * aside + math.sin(turn) * ahead + 0.3 * up
-        x, y, z = np.asarray(focus.centre) + focus.radius * DISTANCES[view % 2] * way
+        direction = math.cos(turn) * aside + math.sin(turn) * ahead + 0.3 * up
+        x, y, z = np.asarray(focus.centre) + focus.radius * DISTANCES[view % 2] * direction
         pose = Pose.looking_at((float(x), float(y), float(z)), focus.centre, source.up)
         out.append(Camera(intrinsics, pose, min(0.2, focus.radius / 10)))
     return out
 
 
 class Judge:
-    """Compares splats with true ones by their pictures."""
+    """Compares pictures of splats with those of the true ones."""
 
     def __init__(self, truth: Splats, cameras: Sequence[Camera], rasteriser: Rasteriser, lpips: Lpips | None) -> None:
         self._cameras, self._rasteriser, self._lpips = cameras, rasteriser, lpips
@@ -58,10 +58,10 @@ class Judge:
         """Quality of pictures of ``splats``: PSNR and SSIM over covered pixels, LPIPS over the whole picture."""
         pairs = [_pair(true, shown) for true, shown in zip(self._truth, self._draw(splats), strict=True)]
         psnr = [-10 * math.log10(float(np.square(a - b)[mask].mean()) + 1e-10) for a, b, mask in pairs if mask.any()]
-        likeness = [ssim(b, a, mask) for a, b, mask in pairs]
-        apart = [self._lpips.distance(a, b) for a, b, _ in pairs] if self._lpips else []
-        mean = float(np.mean(apart)) if apart else None
-        return Quality(float(np.mean(psnr)) if psnr else 100.0, float(np.mean(likeness)), mean)
+        ssims = [ssim(b, a, mask) for a, b, mask in pairs]
+        distances = [self._lpips.distance(a, b) for a, b, _ in pairs] if self._lpips else []
+        mean = float(np.mean(distances)) if distances else None
+        return Quality(float(np.mean(psnr)) if psnr else 100.0, float(np.mean(ssims)), mean)
 
     def _draw(self, splats: Splats) -> list[RenderedView]:
         scene = self._rasteriser.load(splats)

@@ -1,1 +1,1 @@
-"""``cags-bench cost``: what each step of accuracy costs in time and bytes, stage by stage."""
+"""``cags-bench cost``: time and bytes for each step of accuracy, stage by stage."""

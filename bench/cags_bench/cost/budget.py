@@ -1,4 +1,4 @@
-"""From the measured frames to settings that fit a frame time, for the client and for the server."""
+"""Chooses settings of client and server that fit a frame time, from the measured points."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from cags_bench.cost.settings import CostSettings
 from cags_common.errors import ConfigError
 
 CLIENT_STAGE, SERVER_STAGE = "client frame", "whole reference"
-"""Stages that proposals are made from: all that a client does for a frame, and drawing and coding a reference."""
+"""Stages that proposals are based on: all work of a client for a frame, and drawing and coding a reference."""
 
 HEADROOM = 0.8
-"""Share of the frame time that drawing may take: decoding, the network and the display need the rest."""
+"""Share of the frame time for drawing; decoding, the network and the display need the rest."""
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """The best points that fit."""
+    """The best points that fit the budget."""
 
     client: Measured
     server: Measured
 
     def line(self) -> dict[str, Any]:
-        """For the summary."""
+        """The proposal as an entry of the summary."""
         return {
             side: {"point": one.point.label, "median_ms": one.median_ms, one.stage.quality: _quality(one)}
             for side, one in (("client", self.client), ("server", self.server))
@@ -34,7 +34,7 @@ class Proposal:
 
 
 def propose(client: Sequence[Measured], server: Sequence[Measured], budget_ms: float) -> Proposal:
-    """The best pictures within ``HEADROOM`` of the budget. Raises :class:`ConfigError` when nothing fits."""
+    """The best quality within ``HEADROOM`` of the budget. Raises :class:`ConfigError` if nothing fits."""
     return Proposal(_best(client, budget_ms), _best(server, budget_ms))
 
 
@@ -43,8 +43,8 @@ def _best(points: Sequence[Measured], budget_ms: float) -> Measured:
     if not fitting:
         fastest = min(one.median_ms for one in points)
         raise ConfigError(
-            f"budget_ms = {budget_ms}: the fastest {points[0].stage.name} takes {fastest:.1f} ms here, and "
-            f"{HEADROOM:.0%} of the budget is for drawing; give more, or a smaller picture by --width and --height"
+            f"budget_ms = {budget_ms}: the fastest {points[0].stage.name} takes {fastest:.1f} ms, and "
+            f"{HEADROOM:.0%} of the budget is for drawing; give a larger budget, or a smaller --width and --height"
         )
     return max(fitting, key=lambda one: (_quality(one), -one.median_ms))
 
@@ -54,20 +54,20 @@ def _quality(one: Measured) -> float:
 
 
 def write_config(path: Path, proposal: Proposal, settings: CostSettings) -> None:
-    """Write the proposal as TOML that ``cags-client --config`` and ``cags-server --config`` both accept."""
+    """Write the proposal as TOML for ``cags-client --config`` and ``cags-server --config``."""
     exactness, resolution, way = proposal.client.point.label.split(" / ")
     size, crf = proposal.server.point.label.split(" / crf ")
     width, height = size.split("x")
     path.write_text(
         f"# proposed by cags-bench cost --budget-ms {settings.budget_ms:g}\n\n"
-        f"[client]  # {_worth(proposal.client)}\n"
+        f"[client]  # {_summary(proposal.client)}\n"
         f"width = {settings.width}\nheight = {settings.height}\n"
         f'exactness = "{exactness}"\nresolution = "{resolution}"\nrestore = "{way}"\n\n'
-        f"[server]  # {_worth(proposal.server)}\n"
+        f"[server]  # {_summary(proposal.server)}\n"
         f"reference_width = {width}\nreference_height = {height}\nreference_crf = {float(crf)}\n",
         encoding="utf-8",
     )
 
 
-def _worth(one: Measured) -> str:
+def _summary(one: Measured) -> str:
     return f"{one.median_ms:.1f} ms a frame, {_quality(one):.2f} dB"

@@ -1,4 +1,4 @@
-"""Stages of the codec: position precision, quantiser, training sample, and how deep the layers are sent."""
+"""Stages of the codec: precision of positions, quantiser, training sample, and number of layers."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ from cags_encoder.quantiser.configs import quantiser_config
 from cags_encoder.settings import QUANTISERS
 
 SPLATS = 20_000
-"""Codec stages encode at most this many splats, every n-th of the scene: the figures are a splat."""
+"""Codec stages encode at most this many splats (every n-th of the scene); results are per splat."""
 
 
 @dataclass(frozen=True)
 class Coder:
-    """Encodes one key frame and judges what comes out of it."""
+    """Encodes one key frame and measures the result."""
 
     splats: Splats
     bench: Workbench
     folder: Path
 
     def encode(self, settings: EncodeSettings) -> Path:
-        """The key frame's bundle."""
+        """The bundle of the key frame."""
         out = self.folder / "bundle"
         shutil.rmtree(out, ignore_errors=True)
         encode(SplatSequence((self.splats,)), settings, str(out))
         return out
 
     def judge(self, bundle: Path) -> Outcome:
-        """Bytes a splat and quality of the decoded key frame, all layers."""
+        """Bytes per splat and quality of the decoded key frame with all layers."""
         reader = BundleReader.open(str(bundle))
         try:
             sizes = [sum(tile.lod_bytes) for tile in reader.frame(0).tiles]
@@ -51,7 +51,7 @@ class Coder:
         return {"bytes_per_splat": sum(sizes) / len(self.splats), "psnr_db": self.quality(decoded)}
 
     def quality(self, decoded: Splats) -> float:
-        """PSNR of the decoded splats' picture against the originals'."""
+        """PSNR of the decoded splats' picture against that of the originals."""
         camera = self.bench.moment.camera
         truth, seen = (
             raster.create("auto").load(s).render(camera, RenderOptions()).rgb for s in (self.splats, decoded)
@@ -60,7 +60,7 @@ class Coder:
 
 
 def coding_stages(bench: Workbench) -> list[Stage]:
-    """Encoder knobs on one key frame, and decoding by depth."""
+    """Encoder settings on one key frame, and decoding by number of layers."""
     source = bench.moment.source
     coder = Coder(source.take(slice(None, None, max(1, len(source) // SPLATS))), bench, Path(tempfile.mkdtemp()))
     shipped = EncodeSettings()

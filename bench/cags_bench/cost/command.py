@@ -1,4 +1,4 @@
-"""``cags-bench cost``: sweep every accuracy knob, measure time, bytes and quality, draw the fronts."""
+"""``cags-bench cost``: sweeps every accuracy setting, measures time, bytes and quality, and plots the Pareto fronts."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from cags_bench.cost.settings import CostSettings
 from cags_common.settings import add_settings, load_settings
 
-SUMMARY = "Measure what each step of accuracy costs in milliseconds and bytes, stage by stage, in one interleaved run."
+SUMMARY = "Measure the time and bytes of each step of accuracy, stage by stage, in one interleaved run."
 
 EXAMPLES = """\
   cags-bench cost --out cost-page
@@ -19,12 +19,12 @@ EXAMPLES = """\
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of the command."""
+    """Add the command's flags."""
     add_settings(parser, CostSettings)
 
 
 def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """Yield a line a point and the summary."""
+    """Yield one line per point, and the summary."""
     settings = load_settings(CostSettings, arguments)
     from cags_bench.cost.sweep import sweep
 

@@ -1,4 +1,4 @@
-"""Stages that put the client's picture right: what is done with references, and the whole frame over combinations."""
+"""Stages of correction in the client: methods of using references, and the whole frame over combinations."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from cags_common.raster.halving import enlarged, halved
 from cags_server.settings import ServerSettings
 
 RESTORERS = ("reference", "srresnet")
-"""Of aligned pictures, to compare with."""
+"""Restorers of aligned pictures, for comparison."""
 
 THREADS = ClientSettings().threads
 
 
 def correcting_stages(bench: Workbench) -> list[Stage]:
-    """What is done with a reference, and the client's whole frame over combinations of settings."""
-    return [_ways(bench.moment), _whole_frame(bench.moment)]
+    """Methods of using a reference, and the client's whole frame over combinations of settings."""
+    return [_methods(bench.moment), _whole_frame(bench.moment)]
 
 
 def _received(moment: Moment, kind: str) -> tuple[Referring, Received]:
-    """A reference as it reaches the client."""
+    """A reference as received by the client."""
     referring = Referring(moment, ServerSettings(references=kind))
     reference = referring.received(referring.made())
-    assert reference is not None, "there is something to correct in what is held"
+    assert reference is not None, "the held splats need correction"
     return referring, reference
 
 
@@ -44,8 +44,8 @@ def _judge(moment: Moment) -> Callable[[F32], Outcome]:
     return lambda rgb: {"corrected_psnr_db": psnr(rgb, moment.truth)}
 
 
-def _ways(moment: Moment) -> Stage:
-    """After drawing: nothing, adding a difference, rendering from the reference camera for a picture, and restorers."""
+def _methods(moment: Moment) -> Stage:
+    """After drawing: no correction, a difference, a picture (with its own render), and restorers."""
     view, judge = moment.view(), _judge(moment)
     points = [Point(NONE, lambda: view.rgb, judge)]
     for kind in ("difference", "picture"):
@@ -66,21 +66,21 @@ def _ways(moment: Moment) -> Stage:
             return restorer.restore(RestoreInput(view.rgb, aligned, moment.level))
 
         points.append(Point(name, restored, judge))
-    return Stage("correction", "what is done", "client", "corrected_psnr_db", tuple(points), repetitions=3)
+    return Stage("correction", "method", "client", "corrected_psnr_db", tuple(points), repetitions=3)
 
 
 def _whole_frame(moment: Moment) -> Stage:
-    """Draw and correct: every combination of exactness, resolution and correction, judged by the picture shown."""
+    """Draw and correct with every combination of exactness, resolution and correction; judged by the picture shown."""
     _, reference = _received(moment, DIFFERENCES.references)
     points = tuple(
-        _combination(moment, reference.reference, exactness, resolution, way)
-        for exactness, resolution, way in product(Exactness, (HALF, FULL), (NONE, CORRECT))
+        _combination(moment, reference.reference, exactness, resolution, method)
+        for exactness, resolution, method in product(Exactness, (HALF, FULL), (NONE, CORRECT))
     )
     knob = "exactness / resolution / correction"
     return Stage("client frame", knob, "client", "corrected_psnr_db", points, repetitions=3)
 
 
-def _combination(moment: Moment, reference: Reference, exactness: Exactness, resolution: str, way: str) -> Point:
+def _combination(moment: Moment, reference: Reference, exactness: Exactness, resolution: str, method: str) -> Point:
     corrector = correction.create("auto", THREADS)
     half = resolution == HALF
     camera = halved(moment.camera) if half else moment.camera
@@ -90,10 +90,10 @@ def _combination(moment: Moment, reference: Reference, exactness: Exactness, res
 
     def run() -> F32:
         view = moment.held.render(camera, options)
-        shown = view.rgb if way == NONE else corrector.correct(view, camera, reference).rgb
+        shown = view.rgb if method == NONE else corrector.correct(view, camera, reference).rgb
         return enlarged(shown, moment.camera, THREADS) if half else shown
 
-    usual = ClientSettings()
-    ours = usual.exactness, FULL if usual.resolution == AUTO else usual.resolution, usual.restore
-    label = f"{exactness.value} / {resolution} / {way}"
-    return Point(label, run, _judge(moment), default=(exactness.value, resolution, way) == ours)
+    shipped = ClientSettings()
+    defaults = shipped.exactness, FULL if shipped.resolution == AUTO else shipped.resolution, shipped.restore
+    label = f"{exactness.value} / {resolution} / {method}"
+    return Point(label, run, _judge(moment), default=(exactness.value, resolution, method) == defaults)

@@ -1,4 +1,4 @@
-"""Stages that draw: the client's render."""
+"""Stages of drawing: the client's render."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BEST_DB = 99.0
 
 
 def drawing_stages(bench: Workbench) -> list[Stage]:
-    """The rasteriser's knobs."""
+    """Settings of the rasteriser."""
     moment = bench.moment
     scene = raster.create("auto").load(moment.source)
     best = scene.render(moment.camera, RenderOptions(exactness=Exactness.EXACT))
@@ -61,7 +61,7 @@ def _sh_degree(scene: RasterScene, camera: Camera, best: RenderedView) -> Stage:
 
 
 def _depth_kind(bench: Workbench) -> Stage:
-    """Depth is judged by its purpose: the quality of the picture corrected with it."""
+    """Depth is judged by the quality of the picture that is corrected with it."""
     from cags_bench.cost.serving import Referring
 
     moment = bench.moment
@@ -69,7 +69,7 @@ def _depth_kind(bench: Workbench) -> Stage:
     reference = referring.received(referring.made())
     held = moment.view()
     assert held.depth is not None
-    plane = np.full_like(held.depth, np.median(held.depth[np.isfinite(held.depth)]))  # without: the view as one plane
+    plane = np.full_like(held.depth, np.median(held.depth[np.isfinite(held.depth)]))  # no depth: one plane
 
     def judge(view: RenderedView) -> Outcome:
         seen = replace(view, depth=plane if view.depth is None else view.depth)

@@ -1,4 +1,4 @@
-"""What the effects of a frame cost when they are on, and what deciding them saves: the client's own pipeline, timed."""
+"""Cost of a frame's effects, and the gain from enabling only what is needed, timed in the client's own pipeline."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ EFFECTS = "effects"
 """Name of the stage."""
 
 MOST = 1.05
-"""Of times that differ by a depth picture and a band of colours at most, a twentieth may be noise."""
+"""Largest ratio of times. They differ at most by a depth picture and a band of colours; 5 % may be noise."""
 
 DECISIONS = 5
-"""Frames over which the time outside the stages is taken."""
+"""Number of frames for the time outside the stages."""
 
 
 def effect_stages(bench: Workbench) -> list[Stage]:
-    """The first key frame at a low level and whole, with everything on and with what is needed."""
+    """The first key frame, at a low level and complete, with all effects and with those needed."""
     reader = BundleReader.open(str(bench.bundle))
     depths = {"in part": min(JUDGED_LOD, reader.manifest.lods - 1) + 1, "whole": reader.manifest.lods}
     points = tuple(
@@ -48,7 +48,7 @@ def effect_stages(bench: Workbench) -> list[Stage]:
 
 
 def effect_checks(measured: Sequence[Measured]) -> list[dict[str, Any]]:
-    """That an effect which is left out costs nothing: neither to leave out nor to decide."""
+    """Checks that an effect that is off costs no time, and that deciding costs little."""
     by_label = {one.point.label: one for one in measured}
     whole = {policy: by_label[f"{policy}, whole"] for policy in (ALWAYS, NEEDED)}
     ratio = whole[NEEDED].median_ms / whole[ALWAYS].median_ms
@@ -79,14 +79,14 @@ def _point(bench: Workbench, reader: BundleReader, label: str, policy: str, lods
 
 
 def _outside_ms(pipeline: ClientPipeline, camera: Camera) -> float:
-    """What one frame takes outside its stages: deciding the effects, and the frame's figures."""
+    """Time of one frame outside its stages: deciding the effects, and statistics."""
     started = time.perf_counter()
     shown = pipeline.present(0, camera)
     return (time.perf_counter() - started) * 1e3 - sum(shown.stages_ms.values())
 
 
 def _fill(pipeline: ClientPipeline, reader: BundleReader, lods: int) -> None:
-    """Hand over the first frame up to LoD ``lods`` - 1."""
+    """Deliver the first frame up to LoD ``lods`` - 1."""
     for entry in reader.frame(0).tiles:
         levels = min(lods, len(entry.lod_bytes))
         parts = [reader.payload(0, entry.tile, lod) for lod in range(levels)]
@@ -96,24 +96,27 @@ def _fill(pipeline: ClientPipeline, reader: BundleReader, lods: int) -> None:
 
 
 def _refer(pipeline: ClientPipeline, reader: BundleReader, bench: Workbench, lods: int) -> None:
-    """Hand over the reference of the first frame, seen from where the moment's was: of all levels there is nothing
-    lacking.
-    """
+    """Deliver the reference of the first frame from the moment's reference camera. With all levels it is empty."""
     basis = 1
     pipeline.on_mark(Mark(basis))
     camera = bench.moment.reference_camera
-    there = Camera(camera.intrinsics, camera.pose, reader.manifest.near)
+    reference_camera = Camera(camera.intrinsics, camera.pose, reader.manifest.near)
     if lods == reader.manifest.lods:
-        message = ReferenceFrame(0, 0, there.pose, there.intrinsics, kind=ReferenceKind.NOTHING.value, basis=basis)
+        message = ReferenceFrame(
+            0, 0, reference_camera.pose, reference_camera.intrinsics, kind=ReferenceKind.NOTHING.value, basis=basis
+        )
         pipeline.on_reference(message, memoryview(b""))
         return
     held = BundlePlayer(reader, lods - 1).frame(0).splats
-    options = RenderOptions(footprint=Footprint.of(bench.moment.camera.intrinsics, there.intrinsics))
+    options = RenderOptions(footprint=Footprint.of(bench.moment.camera.intrinsics, reference_camera.intrinsics))
     truth, own = (
-        create("auto").load(splats).render(there, options).rgb.clip(0, 1) for splats in (reader.source(0).splats, held)
+        create("auto").load(splats).render(reference_camera, options).rgb.clip(0, 1)
+        for splats in (reader.source(0).splats, held)
     )
-    hello = Hello(PROTOCOL_VERSION, bench.moment.camera.intrinsics, there.pose)
+    hello = Hello(PROTOCOL_VERSION, bench.moment.camera.intrinsics, reference_camera.pose)
     coded = ReferenceCoder(DIFFERENCES, hello, reader.manifest.fps).code(truth, own, idr=True)
     kind = coded.kind.value
-    message = ReferenceFrame(0, 1, there.pose, there.intrinsics, idr=True, kind=kind, basis=basis, knee=coded.knee)
+    message = ReferenceFrame(
+        0, 1, reference_camera.pose, reference_camera.intrinsics, idr=True, kind=kind, basis=basis, knee=coded.knee
+    )
     pipeline.on_reference(message, memoryview(coded.access_unit))

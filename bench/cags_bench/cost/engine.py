@@ -1,4 +1,4 @@
-"""Measuring knobs: one interleaved run over all points of all stages, so that noise falls on all alike."""
+"""Measures settings in one interleaved run over all points of all stages, so that noise affects all equally."""
 
 from __future__ import annotations
 
@@ -14,37 +14,39 @@ Outcome = dict[str, float]
 
 @dataclass(frozen=True)
 class Point:
-    """One setting of a knob: ``run`` does the timed work; ``judge`` turns its result into bytes and quality."""
+    """One value of a setting: ``run`` does the timed work; ``judge`` turns its result into bytes and quality."""
 
     label: str
     run: Callable[[], Any]
     judge: Callable[[Any], Outcome]
     default: bool = False
-    """Whether this is what the product ships."""
+    """Whether this is the product's default."""
 
 
 @dataclass(frozen=True)
 class Stage:
-    """One stage's knob: at least three points from cheap to dear, and the figure that says how good each is."""
+    """One setting with at least three values from cheap to expensive, and the figure that measures quality."""
 
     name: str
     knob: str
     side: str
-    """Who pays: ``encoder``, ``server`` or ``client``."""
+    """Which side does the work: ``encoder``, ``server`` or ``client``."""
     quality: str
-    """Key of the figure in what ``judge`` returns; ``error*`` and ``bytes*`` are better when lower, others higher."""
+    """Key of the quality in the result of ``judge``. ``error*`` and ``bytes*`` are better when lower, others when
+    higher.
+    """
     points: tuple[Point, ...]
     repetitions: int = 5
 
     @property
     def higher_is_better(self) -> bool:
-        """Whether the figure grows with quality; errors and bytes shrink."""
+        """Whether the figure increases with quality; errors and bytes decrease."""
         return not self.quality.startswith(("error", "bytes"))
 
 
 @dataclass
 class Measured:
-    """Times and outcome of one point."""
+    """Times and result of one point."""
 
     stage: Stage
     point: Point
@@ -53,12 +55,12 @@ class Measured:
 
     @property
     def median_ms(self) -> float:
-        """Median over the repetitions."""
+        """Median time over the repetitions."""
         return median(self.times_ms)
 
     @property
     def spread_ms(self) -> float:
-        """Distance between the quartiles."""
+        """Interquartile range of the times."""
         ordered = sorted(self.times_ms)
         return ordered[(3 * len(ordered)) // 4] - ordered[len(ordered) // 4]
 
@@ -79,21 +81,21 @@ class Measured:
         }
 
 
-def measure(stages: Sequence[Stage], tell: Callable[[int, int], None]) -> Iterator[Measured]:
-    """Warm every point up and judge it once, then time all of them round by round, telling ``tell(done, total)``."""
+def measure(stages: Sequence[Stage], on_step: Callable[[int, int], None]) -> Iterator[Measured]:
+    """Warm up and judge every point once, then time all of them round by round. Calls ``on_step(done, total)``."""
     measured = [Measured(stage, point) for stage in stages for point in stage.points]
     total = len(measured) + sum(one.stage.repetitions for one in measured)
     done = 0
     for one in measured:
         one.outcome = one.point.judge(one.point.run())
-        tell(done := done + 1, total)
+        on_step(done := done + 1, total)
     for turn in range(max(stage.repetitions for stage in stages)):
         for one in measured:
             if turn < one.stage.repetitions:
                 started = time.perf_counter()
                 one.point.run()
                 one.times_ms.append((time.perf_counter() - started) * 1e3)
-                tell(done := done + 1, total)
+                on_step(done := done + 1, total)
     yield from measured
 
 
@@ -108,7 +110,7 @@ def pareto(measured: Sequence[Measured]) -> list[Measured]:
 
 
 def marginal_ms_per_db(front: Sequence[Measured]) -> list[tuple[str, str, float]]:
-    """For neighbours on a front in dB: (from, to, milliseconds that one more dB costs)."""
+    """For neighbours on a front in dB: (from, to, milliseconds per additional dB)."""
     if len(front) < 2 or not front[0].stage.quality.endswith("_db"):
         return []
     key = front[0].stage.quality

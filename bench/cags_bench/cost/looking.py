@@ -1,4 +1,4 @@
-"""Stages that look ahead: pose prediction, and the margin of the reference's field of view."""
+"""Stages of looking ahead: pose prediction, and the margins of the reference's field of view."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ HORIZON_US = 200_000
 POSE_PERIOD_US = 16_667
 STEPS = 40
 POINT_DEPTH = 3.0
-"""Depth in world units at which coverage is judged."""
+"""Depth in world units for measuring coverage."""
 
 
 def looking_stages(poses: str, client: Intrinsics) -> list[Stage]:
-    """Predictors, and fixed margins of the field of view under the product's predictor."""
+    """Predictors, and fixed margins of the field of view with the default predictor."""
     walk = open_poses(poses, Focus((0.0, 0.0, 0.0), 1.0, (0.0, 1.0, 0.0)), window_us=10_000_000)
     starts = [1_000_000 + i * 200_000 for i in range(STEPS)]
     histories = [_history_until(walk.pose_at, start) for start in starts]
@@ -59,7 +59,7 @@ def _predictors(histories: list[PoseHistory], truths: list[Pose]) -> Stage:
 
 
 def _margins(predicted: list[Pose], truths: list[Pose], client: Intrinsics) -> Stage:
-    """Share of the client's view that the reference covers, at one depth, against the pixels that it spreads."""
+    """Share of the client's view covered by the reference at one depth, and the area covered by its pixels."""
     rays = _rays(client)
 
     def point(margin: float) -> Point:
@@ -79,7 +79,7 @@ def _margins(predicted: list[Pose], truths: list[Pose], client: Intrinsics) -> S
 
 
 def _rays(client: Intrinsics) -> np.ndarray:
-    """[P, 3] points of the client's view at the judged depth, camera frame."""
+    """[P, 3] points of the client's view at :data:`POINT_DEPTH`, camera frame."""
     x, y = np.meshgrid(np.linspace(0, client.width_px, 24), np.linspace(0, client.height_px, 18))
     directions = np.stack(
         [(x - client.cx_px) / client.fx_px, (y - client.cy_px) / client.fy_px, np.ones_like(x)], axis=-1

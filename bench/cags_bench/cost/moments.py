@@ -1,4 +1,4 @@
-"""What the stages work on: moments of a real session, kept with all that made them."""
+"""Inputs of the stages: moments of a real session."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ from cags_common.splats import Splats
 MOMENTS = 3
 
 JUDGED_LOD = 4
-"""Depth of the splats that corrections are judged on: low, where there is something to put right."""
+"""Level of the splats for corrections: low, so that there is something to correct."""
 
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """One displayed frame: what was sent for it, what the client drew, and what it should have seen."""
+    """One displayed frame: its cameras, the client's splats, and the true picture."""
 
     frame: int
     camera: Camera
     reference_camera: Camera
-    """Where the server thought that the client would look from."""
+    """The server's prediction of the client's camera."""
     true: RasterScene
     """The unquantised splats."""
     held: RasterScene
-    """What the client draws when all has come up to LoD ``JUDGED_LOD``."""
+    """The client's splats with everything up to LoD ``JUDGED_LOD``."""
     level: float
-    """Of the splats that are held, as restorers are told it."""
+    """Level of the held splats, as restorers get it."""
     truth: F32  # [H, W, 3] in [0, 1]
     source: Splats
 
     def view(self, options: RenderOptions | None = None) -> RenderedView:
-        """The client's render from the reference camera."""
+        """The client's render from its camera."""
         return self.held.render(self.camera, options or RenderOptions())
 
 
@@ -57,14 +57,14 @@ class Workbench:
 
     @property
     def moment(self) -> Moment:
-        """The middle one."""
+        """The middle moment."""
         return self.moments[len(self.moments) // 2]
 
 
 def capture(bundle: Path, width: int, height: int, trace: str, poses: str) -> Workbench:
-    """Play ``bundle`` in virtual time and keep a few moments at which a reference was at hand.
+    """Play ``bundle`` in virtual time and keep a few moments with a reference.
 
-    Raises :class:`ConfigError` where the link brings everything at once, so that nothing is ever corrected.
+    Raises :class:`ConfigError` if the link is so fast that nothing is ever corrected.
     """
     scenario = Scenario(bundle, trace, poses, client=ClientSettings(width=width, height=height), scored=False)
     kept: list[PresentedFrame] = []
@@ -76,7 +76,7 @@ def capture(bundle: Path, width: int, height: int, trace: str, poses: str) -> Wo
     simulate(scenario, watch)
     if not kept:
         raise ConfigError(
-            f"trace = {trace!r}: all of the scene arrives at once and no reference is used; name a slower"
+            f"trace = {trace!r}: the whole scene arrives at once, so no reference is used; give a slower trace"
         )
     chosen = kept[len(kept) // 4 :: max(len(kept) // (MOMENTS + 1), 1)][:MOMENTS]
     truth = BundleTruth(str(bundle), replace(scenario.client, exactness="exact"))

@@ -21,19 +21,19 @@ def write_page(out: Path, by_stage: Sequence[Sequence[Measured]], settings: Cost
     _write_csv(out / "points.csv", lines)
     intro = (
         f"<p class=note>Scene {html.escape(settings.scene)}, {settings.width}x{settings.height}. One interleaved run; "
-        "times are the median of each point's repetitions. Bold and starred: what the product ships. Circles: the "
+        "times are the median of each point's repetitions. Bold and starred: the defaults. Circles: the "
         "Pareto front.</p>"
     )
     body = [intro, *(_section(group) for group in by_stage)]
-    (out / "index.html").write_text(html.page("What accuracy costs", body), encoding="utf-8")
+    (out / "index.html").write_text(html.page("Cost of accuracy", body), encoding="utf-8")
 
 
 def _section(group: Sequence[Measured]) -> str:
     stage = group[0].stage
-    columns = ["point", "ms", "quartiles apart [ms]", *group[0].outcome]
+    columns = ["point", "ms", "interquartile range [ms]", *group[0].outcome]
     rows = [[one.point.label, one.median_ms, one.spread_ms, *one.outcome.values()] for one in group]
     costs = "".join(
-        f"<li>{html.escape(a)} to {html.escape(b)}: one more dB costs {ms:.3g} ms</li>"
+        f"<li>{html.escape(a)} to {html.escape(b)}: {ms:.3g} ms per additional dB</li>"
         for a, b, ms in marginal_ms_per_db(pareto(group))
     )
     return (

@@ -1,4 +1,4 @@
-"""Stages of the server's reference: its kind, size, footprint, quality and colour sampling, alone and together."""
+"""Stages of the server's reference: kind, size, footprint, quality and colour sampling, alone and combined."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cags_server.settings import ServerSettings
 SHIPPED = ServerSettings()
 SHIPPED_SIZE = SHIPPED.reference_width, SHIPPED.reference_height
 SHIPPED_CHROMA = Chroma(SHIPPED.reference_chroma)
-"""What the server does when it is not told otherwise."""
+"""Defaults of the server."""
 
 KINDS = ("none", "picture", "difference")
 SIZES = ((200, 150), (400, 300), (800, 600))
@@ -27,7 +27,7 @@ COMBINED_CRFS = (28.0, 20.0, 16.0)
 
 
 def reference_stages(bench: Workbench) -> list[Stage]:
-    """Drawing and coding a reference, judged by the picture that a client corrects with it."""
+    """Drawing and coding a reference, judged by the client's corrected picture."""
     return [
         _kind(bench.moment),
         _size(bench.moment),
@@ -39,7 +39,7 @@ def reference_stages(bench: Workbench) -> list[Stage]:
 
 
 def _point(referring: Referring, label: str, *, default: bool, drawn_once: bool = False) -> Point:
-    """Draw and code; code alone where the knob does not touch drawing (``drawn_once``)."""
+    """Draw and code; only code if the setting does not affect drawing (``drawn_once``)."""
     views = referring.drawn() if drawn_once else None
 
     def run() -> Coded:
@@ -61,7 +61,7 @@ def _changed(moment: Moment, **changes: Any) -> Referring:
 
 
 def _kind(moment: Moment) -> Stage:
-    """``auto`` takes whichever leaves less; differences where splats are as good as they mostly are."""
+    """``auto`` takes the kind with the smaller error: differences in most cases."""
     points = tuple(_point(_changed(moment, references=k), k, default=k == DIFFERENCES.references) for k in KINDS)
     return _stage("reference kind", "references", points)
 
@@ -114,7 +114,7 @@ def _chroma(moment: Moment) -> Stage:
 
 
 def _whole_reference(moment: Moment) -> Stage:
-    """Every combination of size and quality: a large coarse picture against a small fine one."""
+    """Every combination of size and quality: large coarse pictures against small fine ones."""
     points = tuple(
         _point(
             _sized(moment, (w, h), reference_crf=crf),

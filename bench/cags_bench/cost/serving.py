@@ -1,4 +1,4 @@
-"""References of a moment by the product's own parts: what a server draws and codes, and what a client makes of it."""
+"""References of a moment from the product's own parts: drawn and coded by the server, applied by the client."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from cags_server.reference.coder import Coded, ReferenceCoder
 from cags_server.settings import ServerSettings
 
 DIFFERENCES = ServerSettings(references=ReferenceKind.DIFFERENCE.value)
-"""What is shipped, but for the kind of references, which ``auto`` chooses in the course of a session."""
+"""Defaults, except for the kind of references, which ``auto`` chooses in the course of a session."""
 
 FPS = 30.0
 
 
 @dataclass(eq=False)
 class Referring:
-    """One moment's references under ``settings``, drawn through ``footprint`` (None: the client's own)."""
+    """References of one moment under ``settings``, drawn with ``footprint`` (None: the client's own)."""
 
     moment: Moment
     settings: ServerSettings = DIFFERENCES
@@ -42,29 +42,29 @@ class Referring:
         return replace(camera, intrinsics=camera.intrinsics.resized(self._coder.width_px, self._coder.height_px))
 
     def drawn(self) -> tuple[F32, F32 | None]:
-        """The truth [h, w, 3], and the client's render from the reference camera where the server needs it."""
+        """The true view [h, w, 3], and the client's view from the reference camera if the server needs it."""
         truth = self._seen(self.moment.true)
         return truth, self._seen(self.moment.held) if self._coder.compares else None
 
     def coded(self, truth: F32, held: F32 | None) -> Coded:
-        """As a picture that needs no other."""
+        """Code the views as an IDR picture."""
         return self._coder.code(truth, held, idr=True)
 
     def made(self) -> Coded:
-        """All that a server does for a reference."""
+        """All work of a server for a reference."""
         return self.coded(*self.drawn())
 
     def received(self, coded: Coded) -> Received | None:
-        """What the client decodes; None where nothing is said."""
+        """The reference after decoding; None if it says nothing."""
         if coded.kind is ReferenceKind.NOTHING:
             return None
         picture = H264Decoder().decode(coded.access_unit)
-        assert picture is not None, "it needs no other"
+        assert picture is not None, "an IDR picture decodes by itself"
         frame = self.moment.frame
         return Received(frame, 1, 1, self.camera, coded.kind, picture, coded.knee, error=coded.after or 0.0)
 
     def corrected(self, reference: Received | None, view: RenderedView | None = None) -> F32:
-        """The client's picture [H, W, 3]: its ``view`` (None: as it draws by itself) with what is lacking added."""
+        """The client's corrected picture [H, W, 3]; ``view`` is the uncorrected one (None: drawn now)."""
         moment = self.moment
         seen = view or moment.view()
         if reference is None:

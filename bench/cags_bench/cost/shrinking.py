@@ -1,4 +1,4 @@
-"""Stages that make a scene smaller: Draco's level, k-means' steps, and leaving out splats that hardly count."""
+"""Stages that reduce a scene: Draco's level, steps of k-means, and removal of splats that hardly contribute."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ CLUSTERS = 256
 
 
 def shrinking_stages(bench: Workbench) -> list[Stage]:
-    """See the module's text."""
+    """All stages of this module."""
     splats = bench.moment.source
     return [_draco_level(splats), _kmeans_steps(splats), _pruning(bench)]
 
 
 def _draco_level(splats: Splats) -> Stage:
-    """One tile's positions, coded and decoded: lossless, so that bytes are what is bought."""
+    """Positions of one tile, encoded and decoded. Draco is lossless here, so bytes are the quality."""
     means = splats.means[morton_order(splats.means)][:TILE_SPLATS].astype(np.float64)
     low = means.min(axis=0)
     cells = np.rint((means - low) / (np.ptp(means, axis=0).max() or 1.0) * (2**POSITION_BITS - 1)).astype(np.float32)
@@ -72,7 +72,7 @@ def _kmeans_steps(splats: Splats) -> Stage:
 
 
 def _pruning(bench: Workbench) -> Stage:
-    """Draw without the splats that contributed least to the moments' pictures."""
+    """Draw without the splats that contribute least to the moments' pictures."""
     moment, splats = bench.moment, bench.moment.source
     whole = raster.create("auto").load(splats)
     truth = whole.render(moment.camera, RenderOptions()).rgb

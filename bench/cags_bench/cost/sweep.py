@@ -29,7 +29,7 @@ LEAST_POINTS = 3
 
 
 def sweep(settings: CostSettings) -> Iterator[dict[str, Any]]:
-    """Measure all stages; yields a line a point, then the summary. Writes the page and the proposal if asked."""
+    """Measure all stages; yield one line per point, then the summary. Writes the page and the proposal if asked."""
     if settings.config_out and settings.budget_ms is None:
         raise ConfigError("config_out needs a budget; give --budget-ms too")
     bundle = cached_bundle(settings.scene, settings.cache, EncodeSettings(frames=settings.frames))

@@ -1,1 +1,1 @@
-"""``cags-demo``: three real processes, one report."""
+"""``cags-demo``: runs server, shaper and client, and writes a report."""

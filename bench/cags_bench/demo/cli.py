@@ -14,9 +14,9 @@ from cags_common.settings import add_settings, load_settings
 
 EXAMPLES = """\
   cags-demo                                  the built-in scene over a generated LTE trace
-  cags-demo --view                           the same, live in a browser
+  cags-demo --view                           watch the stream live in a browser
   cags-demo scene_folder --trace link.csv    your own numbered frames over your own trace
-  cags-demo motion:plant.splat --out report  a static capture, set in motion
+  cags-demo motion:plant.splat --out report  a static capture with added motion
 """
 
 
@@ -28,7 +28,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(argv: Sequence[str]) -> int:
     parser = command_parser(
         "cags-demo",
-        "Stream a scene through server, shaper and client, three processes on this machine, and report what was seen.",
+        "Stream a scene through server, shaper and client on this machine, and write a report of what was shown.",
         EXAMPLES,
     )
     parser.add_argument(
@@ -43,7 +43,7 @@ def _run(argv: Sequence[str]) -> int:
     settings = load_settings(DemoSettings, arguments)
 
     if settings.view and arguments.json:
-        raise ConfigError("--json tells of a play that has ended: leave --view out")
+        raise ConfigError("--json prints the summary of a finished play; leave --view out")
     from cags_bench.demo.run import run_demo, show_live
 
     if settings.view:
@@ -55,12 +55,12 @@ def _run(argv: Sequence[str]) -> int:
 
         print(dump(summary))
     else:
-        _tell(summary, settings.out)
+        _print_summary(summary, settings.out)
     return 0
 
 
-def _tell(summary: dict[str, Any], out: str) -> None:
-    """What was seen, in words, and where the pictures are."""
+def _print_summary(summary: dict[str, Any], out: str) -> None:
+    """Print a summary in words, and the paths of the report's files."""
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
@@ -72,7 +72,7 @@ def _tell(summary: dict[str, Any], out: str) -> None:
     rows = [
         ("link", f"{summary['trace']} at {rate}, {summary['delay_ms']:g} ms each way"),
         *summary_rows(summary, summary["clip_frames"]),
-        ("pictures", f"{Path(out) / 'strip.png'}: what references change, where they change most"),
+        ("pictures", f"{Path(out) / 'strip.png'}: effect of references on the frame with the largest gain"),
         ("over time", f"{Path(out) / 'timeline.png'}; every figure: {Path(out) / 'frames.jsonl'}"),
     ]
     for name, value in rows:

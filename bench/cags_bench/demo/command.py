@@ -1,4 +1,4 @@
-"""``cags-bench demo``: the demo itself, several times, on the machine as it is and with a core taken away."""
+"""``cags-bench demo``: plays the demo several times, on the idle machine and with a core occupied."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from cags_bench.demo.settings import DemoBenchSettings
 from cags_common.settings import add_settings, load_settings
 
 SUMMARY = (
-    "Play cags-demo in real time, several times: how many frames were displayed, how evenly, how good and how steady "
-    "they were. The machine should do nothing else."
+    "Play cags-demo in real time, several times, and measure displayed frames, their regularity, quality and "
+    "steadiness. The machine should be idle otherwise."
 )
 
 EXAMPLES = """\
@@ -21,12 +21,12 @@ EXAMPLES = """\
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of the command."""
+    """Add the command's flags."""
     add_settings(parser, DemoBenchSettings)
 
 
 def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """Yield one line a play, and the summary."""
+    """Yield one line per play, and the summary."""
     settings = load_settings(DemoBenchSettings, arguments)
     from cags_bench.demo.experiment import demo_lines
 

@@ -1,4 +1,4 @@
-"""The experiment behind ``cags-bench demo``: plays in turns, each by processes of its own."""
+"""The experiment behind ``cags-bench demo``: alternating plays, each in its own processes."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ FIGURES = (
     "psnr_restored_step_p95_db",
     "least_second_kbps",
 )
-"""What the summary tells of every part and state: median, lowest and highest of the runs."""
+"""Figures in the summary for every part and state: median, minimum and maximum over the runs."""
 
 TARGETS = {
     QUIET: (
@@ -42,20 +42,20 @@ TARGETS = {
     ),
     BUSY: (("displayed_per_s", ">=", 15.0), ("least_second_kbps", ">", 0.0)),
 }
-"""What the medians of today's state are asked for."""
+"""Targets for the medians of the current state."""
 
 SPIN = "import os, sys\nos.sched_setaffinity(0, {int(sys.argv[1])})\nwhile True:\n    pass\n"
 
 
 def demo_lines(settings: DemoBenchSettings) -> Iterator[JsonObject]:
-    """One line a play, states in turns, and the summary. Raises :class:`ConfigError` for what cannot be played."""
+    """Yield one line per play, with alternating states, and the summary. Raises :class:`ConfigError`."""
     pythons = {NOW: sys.executable}
     if settings.before:
         pythons[BEFORE] = str(executable("before", settings.before))
     cores = _cores_to_load(settings) if BUSY in settings.part_list else []
     lines: list[JsonObject] = []
     for python in pythons.values():
-        _played(python, settings)  # warm-up: the scene is encoded, files are in memory
+        _played(python, settings)  # warm-up: encodes the scene and fills the file cache
     for part in settings.part_list:
         for number in range(settings.runs):
             for state, python in pythons.items():
@@ -68,12 +68,12 @@ def demo_lines(settings: DemoBenchSettings) -> Iterator[JsonObject]:
 
 
 def _cores_to_load(settings: DemoBenchSettings) -> list[int]:
-    """Numbers of the cores on which a process spins. Raises :class:`ConfigError` where there are too few."""
+    """Numbers of the cores to occupy. Raises :class:`ConfigError` if there are too few."""
     if not hasattr(os, "sched_getaffinity"):
-        raise ConfigError("parts: busy needs Linux, where a process can be bound to a core; give --parts quiet")
+        raise ConfigError("parts: busy needs Linux to bind processes to cores; give --parts quiet")
     cores = sorted(os.sched_getaffinity(0))
     if settings.busy_cores > len(cores):
-        raise ConfigError(f"busy_cores = {settings.busy_cores}: this process may use {len(cores)}; ask for fewer")
+        raise ConfigError(f"busy_cores = {settings.busy_cores}: this process may use {len(cores)}; give fewer")
     return cores[: settings.busy_cores]
 
 
@@ -83,34 +83,34 @@ def _played(python: str, settings: DemoBenchSettings) -> JsonObject:
         command = [python, "-m", "cags_bench.demo.cli", settings.scene, "--json", "--out", str(out)]
         if settings.cache:
             command += ["--cache", settings.cache]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode:
-            said = (done.stderr.strip().splitlines() or ["nothing"])[-1]
-            raise ConfigError(f"cags-demo of {python} did not play {settings.scene}; it says: {said}")
-        told = json.loads(done.stdout.splitlines()[-1])
+        finished = subprocess.run(command, capture_output=True, text=True, check=False)
+        if finished.returncode:
+            message = (finished.stderr.strip().splitlines() or ["nothing"])[-1]
+            raise ConfigError(f"cags-demo of {python} did not play {settings.scene}; its message: {message}")
+        reported = json.loads(finished.stdout.splitlines()[-1])
         frames, _ = read_lines(out / "frames.jsonl")
-    return figures_of_play(frames, told)
+    return figures_of_play(frames, reported)
 
 
-def figures_of_play(frames: Sequence[Mapping[str, Any]], told: Mapping[str, Any]) -> JsonObject:
-    """What was seen in one play, from its records and its summary; all from records that any installation writes."""
+def figures_of_play(frames: Sequence[Mapping[str, Any]], reported: Mapping[str, Any]) -> JsonObject:
+    """Figures of one play, from records and summary fields that any installation writes."""
     period_us = 0.0
-    if len(frames) > 1:  # by the times at which frames were due
+    if len(frames) > 1:  # from the due times of frames
         period_us = (frames[-1]["time_us"] - frames[0]["time_us"]) / (frames[-1]["frame"] - frames[0]["frame"])
     known = [value for frame in frames if (value := frame.get("psnr_restored_db")) is not None]
     return {
         "displayed": len(frames),
-        "clip_frames": told["clip_frames"],
-        "displayed_per_s": len(frames) * 1e6 / (told["clip_frames"] * period_us) if period_us else 0.0,
+        "clip_frames": reported["clip_frames"],
+        "displayed_per_s": len(frames) * 1e6 / (reported["clip_frames"] * period_us) if period_us else 0.0,
         "psnr_restored_db": sum(known) / len(known) if known else None,
         "least_second_kbps": _least_second_kbps(frames),
-        "played_commit": told.get("commit"),
+        "played_commit": reported.get("commit"),
         **steadiness(frames),
     }
 
 
 def _least_second_kbps(frames: Sequence[Mapping[str, Any]]) -> float:
-    """Media that arrived in the poorest whole second of the play."""
+    """Media bitrate in the play's poorest whole second."""
     if not frames:
         return 0.0
     begin_us, end_us = frames[0]["time_us"], frames[-1]["time_us"]
@@ -124,7 +124,7 @@ def _least_second_kbps(frames: Sequence[Mapping[str, Any]]) -> float:
 
 @contextlib.contextmanager
 def _spinning(cores: Sequence[int]) -> Iterator[list[subprocess.Popen[bytes]]]:
-    """A process on each of ``cores`` that takes all it can get."""
+    """Run a process on each of ``cores`` that occupies it."""
     running = [subprocess.Popen([sys.executable, "-c", SPIN, str(core)]) for core in cores]
     try:
         yield running
@@ -135,20 +135,20 @@ def _spinning(cores: Sequence[int]) -> Iterator[list[subprocess.Popen[bytes]]]:
 
 
 def figures_of(lines: Sequence[Mapping[str, Any]]) -> JsonObject:
-    """Median, lowest and highest of each figure, by part and state."""
+    """Median, minimum and maximum of each figure, by part and state."""
     out: JsonObject = {}
     for key in dict.fromkeys((line["case"], line["state"]) for line in lines):
-        some = [line for line in lines if (line["case"], line["state"]) == key]
+        matching = [line for line in lines if (line["case"], line["state"]) == key]
         out[" ".join(key)] = {
             name: {"median": median(values), "lowest": min(values), "highest": max(values)}
             for name in FIGURES
-            if (values := [line[name] for line in some if line.get(name) is not None])
+            if (values := [line[name] for line in matching if line.get(name) is not None])
         }
     return out
 
 
 def checks_of(lines: Sequence[Mapping[str, Any]]) -> Iterator[JsonObject]:
-    """The targets, judged by the medians of today's state; a figure that was not measured fails."""
+    """Checks of the targets against the medians of the current state; a missing figure fails."""
     figures = figures_of(lines)
     for part in dict.fromkeys(line["case"] for line in lines):
         measured = figures.get(f"{part} {NOW}", {})

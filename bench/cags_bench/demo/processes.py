@@ -1,4 +1,4 @@
-"""Server, shaper and client as operating-system processes that cannot outlive the demo."""
+"""Server, shaper and client as operating-system processes that end with the demo."""
 
 from __future__ import annotations
 
@@ -22,22 +22,27 @@ STOP_TIMEOUT_S = 10.0
 
 @dataclass
 class Process:
-    """One running command: its name, its handle, and the file of its stderr."""
+    """A running command: its name, handle, and the file of its stderr."""
 
     name: str
     handle: subprocess.Popen[str]
     log: Path
 
     def ready(self) -> dict[str, Any]:
-        """The process's ready line. Raises :class:`NetworkError` when it ends or stays silent instead."""
+        """The process's ready line. Raises :class:`NetworkError` if it ends or stays silent instead."""
         line = _first_line(self.handle.stdout, READY_TIMEOUT_S)
         try:
             message = json.loads(line)
         except json.JSONDecodeError:
             message = {}
         if not message.get("ready"):
-            raise NetworkError(f"{self.name} did not start: {self.last_words()}")
+            raise NetworkError(f"{self.name} did not start: {self._why_silent()}")
         return dict(message)
+
+    def _why_silent(self) -> str:
+        if self.handle.poll() is None:
+            return f"it said nothing for {READY_TIMEOUT_S:g} s; try again when this machine has less to do"
+        return self.last_words()
 
     def last_words(self) -> str:
         """The last line that the process wrote to its log."""
@@ -45,7 +50,7 @@ class Process:
         return lines[-1] if lines else f"no message; its log is {self.log}"
 
     def stop(self) -> None:
-        """Terminate it, and kill it if it does not end."""
+        """Terminate the process, and kill it if it does not end."""
         if self.handle.poll() is None:
             self.handle.terminate()
             try:

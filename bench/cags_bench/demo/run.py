@@ -1,4 +1,4 @@
-"""The demo itself: three processes on free local ports, then a report."""
+"""Runs the demo: three processes on free local ports, then a report."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ TRACE_S = 60.0
 """Length of the scaled trace, which repeats."""
 
 CLIENT_GRACE_S = 240.0
-"""How long the client may take to score its frames after the last one was shown."""
+"""Time that the client has to score its frames after the last one was shown."""
 
 
 def threads_each(settings: DemoSettings) -> str:
-    """Threads of a render in server and client: all cores for either, unless told; they seldom draw at once."""
+    """Threads per render in server and client: by default all cores for both, which rarely draw at the same time."""
     return str(settings.threads or usable_cores())
 
 
 @dataclass(frozen=True)
 class DemoSize:
-    """What a machine can show in real time: picture size, and the size of the built-in scene."""
+    """What a machine can show in real time: picture size, and the spec of the built-in scene."""
 
     width_px: int
     height_px: int
@@ -45,13 +45,13 @@ class DemoSize:
 
 NATIVE = DemoSize(640, 480, "procedural:size=30000,frames=90")
 READABLE = DemoSize(320, 240, "procedural:size=3000,frames=24")
-"""Without the native kernels the float64 reference renders: correct, and a hundred times slower."""
+"""Without the native kernels the float64 reference renders, which is correct but a hundred times slower."""
 
 
 def run_demo(scene: str, settings: DemoSettings, progress: IO[str]) -> dict[str, Any]:
-    """Run the demo and write its report to ``settings.out``; returns the summary.
+    """Run the demo, write its report to ``settings.out``, and return the summary.
 
-    Raises :class:`CagsError` when a part cannot run; the output folder is then left as it was.
+    Raises :class:`CagsError` if a part cannot run; the output folder is then unchanged.
     """
     size = machine_size(progress)
     width, height = settings.width or size.width_px, settings.height or size.height_px
@@ -70,35 +70,35 @@ def run_demo(scene: str, settings: DemoSettings, progress: IO[str]) -> dict[str,
 
 
 def check_link_and_walk(settings: DemoSettings) -> None:
-    """What cannot be read is told before a scene is encoded for it. Raises :class:`CagsError`."""
+    """Report unreadable traces and walks before a scene is encoded. Raises :class:`CagsError`."""
     open_trace(settings.trace)
     open_poses(settings.poses, Focus((0.0, 0.0, 0.0), 1.0, (0.0, 1.0, 0.0)))
 
 
 def demo_bundle(scene: str, size: DemoSize, settings: DemoSettings) -> Path:
-    """The scene, encoded now or before; the built-in one in the size that the machine can show."""
+    """The encoded scene, from the cache if possible; the built-in scene has the size that suits the machine."""
     check_link_and_walk(settings)
     spec = size.scene if scene == "procedural" else scene
     return cached_bundle(spec, settings.cache, EncodeSettings(frames=settings.frames or DEFAULT_FRAMES))
 
 
 def machine_size(progress: IO[str]) -> DemoSize:
-    """The demo's size on this machine; says so when the kernels are missing."""
+    """The demo's size on this machine; prints a note if the kernels are missing."""
     from cags_kernels import native_available, why_unavailable
 
     if native_available():
         return NATIVE
     print(
-        f"cags-demo: native kernels left out ({why_unavailable()}); the demo runs small on the reference path",
+        f"cags-demo: no native kernels ({why_unavailable()}); the demo runs at a small size with the slow reference",
         file=progress,
     )
     return READABLE
 
 
 def show_live(scene: str, settings: DemoSettings, progress: IO[str]) -> None:
-    """Run the three processes with the client's live page, and print its address; returns when interrupted.
+    """Run the three processes with the client's live page, and print its address. Returns when interrupted.
 
-    Raises :class:`CagsError` when a part cannot run or ends by itself.
+    Raises :class:`CagsError` if a part cannot run or ends by itself.
     """
     size = machine_size(progress)
     width, height = settings.width or size.width_px, settings.height or size.height_px
@@ -112,16 +112,16 @@ def show_live(scene: str, settings: DemoSettings, progress: IO[str]) -> None:
                 *("--shaper-control", f"127.0.0.1:{shaper['control']}", "--poses", settings.poses),
                 *("--width", str(width), "--height", str(height), "--truth", str(bundle)),
                 *("--threads", threads_each(settings)),
-                *("--exactness", "fast"),  # 70 dB: far below what the page's own video coding leaves
+                *("--exactness", "fast"),  # its error (70 dB) is far below that of the page's video coding
             ],
         )
-        print(f"\n    the scene streams at  {client.ready()['url']}\n\n    Ctrl-C ends it\n", flush=True)
+        print(f"\n    the scene streams at  {client.ready()['url']}\n\n    Ctrl-C stops it\n", flush=True)
         client.handle.wait()
         raise NetworkError(f"{client.name} ended: {client.last_words()}")
 
 
 def stream_once(bundle: str, settings: DemoSettings, report: Path, progress: IO[str]) -> int:
-    """Run server, shaper and client until the client ends; logs and frames go to ``report``."""
+    """Run server, shaper and client until the client ends; logs and frames are written to ``report``."""
     with ProcessGroup(report) as group:
         shaper = start_link(group, bundle, settings)
         print(f"cags-demo: server and shaper are up (port {shaper['port']}), client starts", file=progress)
@@ -130,7 +130,7 @@ def stream_once(bundle: str, settings: DemoSettings, report: Path, progress: IO[
 
 
 def start_link(group: ProcessGroup, bundle: str, settings: DemoSettings, *more: str) -> dict[str, Any]:
-    """Start server and shaper; returns the shaper's ready line."""
+    """Start server and shaper; return the shaper's ready line."""
     serve = ["--bundle", bundle, "--port", "0", "--json", "--render-threads", threads_each(settings)]
     server = group.start("cags_server", serve).ready()
     ends = ("--listen", "127.0.0.1:0", "--to", f"127.0.0.1:{server['port']}")
@@ -139,7 +139,7 @@ def start_link(group: ProcessGroup, bundle: str, settings: DemoSettings, *more: 
 
 
 def link_trace(settings: DemoSettings) -> str:
-    """The trace of the demo's link: the one named, at its share of the rate."""
+    """The trace of the demo's link, with its rate scaled."""
     if settings.share == 1.0:
         return settings.trace
     return str(scaled_trace(settings.trace, settings.share, TRACE_S))
@@ -156,7 +156,7 @@ def client_arguments(bundle: str, port: int, settings: DemoSettings, report: Pat
 
 
 def wait_for_client(client: Process) -> int:
-    """Wait for the client's own end. Raises :class:`NetworkError` with its last words when it fails."""
+    """Wait until the client ends. Raises :class:`NetworkError` with its last message if it fails."""
     output, _ = client.handle.communicate(timeout=CLIENT_GRACE_S)
     if client.handle.returncode != 0:
         raise NetworkError(f"{client.name} failed: {client.last_words()}")
@@ -166,7 +166,7 @@ def wait_for_client(client: Process) -> int:
 
 
 def clip_frames(bundle: Path, settings: DemoSettings) -> int:
-    """Media frames of the play."""
+    """Number of media frames in the play."""
     from cags_common.bundle import BundleReader
 
     with BundleReader.open(str(bundle)) as reader:
@@ -174,7 +174,7 @@ def clip_frames(bundle: Path, settings: DemoSettings) -> int:
 
 
 def write_report(report: Path, settings: DemoSettings, clip_frames: int) -> dict[str, Any]:
-    """Plot, strip and summary of the finished session."""
+    """Write plot, strip and summary of the finished session; return the summary."""
     from cags_shaper.trace import open_trace
 
     frames, summary = read_lines(report / "frames.jsonl")
@@ -196,7 +196,7 @@ def check_replaceable(out: Path) -> None:
 
 
 def replace_folder(made: Path, out: Path) -> None:
-    """Put a finished folder in the place of an earlier one."""
+    """Replace an earlier folder by a finished one."""
     if out.exists():
         shutil.rmtree(out)
     made.rename(out)

@@ -9,7 +9,7 @@ from cags_common.settings import check_settings, names_in, setting
 
 @dataclass(frozen=True)
 class DemoSettings:
-    """What the demo streams, over what, and how large."""
+    """Scene, link and sizes of the demo."""
 
     out: str = setting("cags-demo-report", "folder for the report; replaced when the demo succeeds")
     frames: int = setting(0, "media frames to play; 0: the whole scene, up to 90", low=0, high=100_000)
@@ -38,14 +38,14 @@ PARTS = (QUIET, BUSY)
 
 @dataclass(frozen=True)
 class DemoBenchSettings:
-    """How often the demo is played, beside what, and what it is compared with."""
+    """Number of plays, load on the machine, and the installation to compare with."""
 
-    parts: str = setting(",".join(PARTS), "quiet: the machine as it is; busy: other processes spin on --busy-cores")
+    parts: str = setting(",".join(PARTS), "quiet: no additional load; busy: other processes occupy --busy-cores")
     runs: int = setting(5, "plays of each part", low=1, high=1000)
-    busy_cores: int = setting(1, "cores on each of which a process spins in the part busy", low=1, high=256)
+    busy_cores: int = setting(1, "number of cores that other processes occupy in the part busy", low=1, high=256)
     scene: str = setting("procedural", "scene of the demo: a file, a folder, motion:PATH or procedural[:size=N,...]")
     before: str = setting(
-        "", "Python of an earlier installation, whose demo is played in turns, to be compared with; empty: none"
+        "", "Python of an earlier installation to compare with; its demo is played alternately; empty: none"
     )
     cache: str = setting("", "folder for encoded bundles; empty: cags-stream/bundles in the user's cache folder")
 
@@ -55,5 +55,5 @@ class DemoBenchSettings:
 
     @property
     def part_list(self) -> list[str]:
-        """Parts to run, of :data:`PARTS`."""
+        """Parts to run, from :data:`PARTS`."""
         return names_in(self.parts, "parts", PARTS)

@@ -1,1 +1,1 @@
-"""``cags-doctor``: what this machine can do, what is missing, and which settings suit it."""
+"""``cags-doctor``: capabilities of this machine, missing parts, and recommended settings."""

@@ -1,4 +1,4 @@
-"""``cags-doctor``: what this machine can do."""
+"""``cags-doctor``: checks this machine and recommends settings."""
 
 from __future__ import annotations
 
@@ -19,29 +19,33 @@ if TYPE_CHECKING:
 PROG = "cags-doctor"
 
 EXAMPLES = """\
-  cags-doctor              look, time the stages of a frame, recommend settings
-  cags-doctor --quick      look only
-  cags-doctor --json       one JSON object, for a program
+  cags-doctor              check the machine, time the stages of a frame, recommend settings
+  cags-doctor --quick      check only
+  cags-doctor --json       print one JSON object
 """
 
 
 TABLE_COLUMNS = 70
-"""A terminal narrower than this has lines in place of the table, whose cells would be a few letters wide."""
+"""Narrower terminals get plain lines instead of the table, whose columns would be too narrow to read."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point of ``cags-doctor``: 0 when everything that is needed is there, 1 otherwise."""
+    """Entry point of ``cags-doctor``: returns 0 if everything needed is present, otherwise 1."""
     return run_command(PROG, _run, argv)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser(
-        PROG, "Tell what this machine can do, what is missing, and which settings suit it.", EXAMPLES
+        PROG, "Check what this machine can do, what is missing, and which settings suit it.", EXAMPLES
     )
     parser.add_argument("--quick", action="store_true", help="leave out the timings")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
     parser.add_argument(
-        "--threads", type=int, default=None, metavar="N", help="threads of a render (default: cores, at most 4)"
+        "--threads",
+        type=int,
+        default=None,
+        metavar="N",
+        help="threads per render (default: number of cores, at most 4)",
     )
     return parser
 
@@ -59,7 +63,7 @@ def _run(argv: Sequence[str]) -> int:
     broken = any(finding.verdict is Verdict.MISSING for finding in findings)
     timings = None
     codec = any(finding.verdict is Verdict.MISSING and finding.matter == "H.264" for finding in findings)
-    if not arguments.quick and not codec:  # without kernels frames are drawn as well, slowly
+    if not arguments.quick and not codec:  # without kernels frames can be drawn too, but slowly
         from cags_bench.doctor.timings import measure
 
         if sys.stderr.isatty():

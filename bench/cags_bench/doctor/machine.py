@@ -40,7 +40,7 @@ def machine_findings(cache: Path) -> Iterator[Finding]:
 
 
 def usable_cores() -> int:
-    """Cores that this process may run on."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -48,29 +48,27 @@ def python_version(version: tuple[int, int]) -> Finding:
     """Whether the interpreter is recent enough."""
     text = ".".join(map(str, version))
     if version < OLDEST_PYTHON:
-        return missing("Python", text, "install Python 3.11 or newer and make the environment anew")
+        return missing("Python", text, "install Python 3.11 or newer and create the environment again")
     return fine("Python", text)
 
 
 def cores(count: int) -> Finding:
-    """Server and client share them when both run here."""
+    """Number of cores, which server and client share if both run here."""
     if count < 2:
         return note("cores", "1", "server and client on one core will miss frames; give them 2 or shrink the picture")
     return fine("cores", str(count))
 
 
 def load(average: float, count: int) -> Finding:
-    """Load of the machine by other programs, beside which measured times are unreliable."""
-    found = f"{average:.1f} threads at work or waiting for the {count} cores, over the last minute"
+    """Load by other programs, which makes timings unreliable."""
+    found = f"{average:.1f} threads running or waiting for {count} cores, mean of the last minute"
     if average > BUSY_SHARE * count:
-        return note(
-            "load", found, "times and settings found now are those of a slower machine: look again when it rests"
-        )
+        return note("load", found, "timings under load are too long; run cags-doctor again when the machine is idle")
     return fine("load", found)
 
 
 def vectors(cpuinfo: str) -> Finding:
-    """The widest vector instructions that the kernels use."""
+    """The widest vector instructions that the kernels can use."""
     flags = set(cpuinfo.split())
     widest = next((flag for flag in VECTOR_FLAGS if flag in flags), None)
     if widest is None:
@@ -84,9 +82,9 @@ def memory(meminfo: str) -> Finding:
     try:
         gib = int(fields["MemAvailable"].split()[0]) / 2**20
     except (KeyError, ValueError, IndexError):
-        return note("memory", "unknown", "this system does not say; large scenes need a few GiB")
+        return note("memory", "unknown", "this system does not report it; large scenes need a few GiB")
     if gib < LEAST_MEMORY_GIB:
-        return note("memory", f"{gib:.1f} GiB free", f"close something: encoding wants {LEAST_MEMORY_GIB:.0f} GiB")
+        return note("memory", f"{gib:.1f} GiB free", f"close other programs: encoding needs {LEAST_MEMORY_GIB:.0f} GiB")
     return fine("memory", f"{gib:.1f} GiB free")
 
 
@@ -105,17 +103,17 @@ def disk(cache: Path) -> Finding:
 
 
 def congestion_control(name: str) -> Finding:
-    """Congestion control of TCP; the credit window keeps queues short with any, shortest with bbr."""
+    """TCP's congestion control. The credit window keeps queues short with any algorithm, and shortest with bbr."""
     name = name.strip()
     if not name:
         return note("congestion control", "unknown", "not Linux: latency under load was measured on Linux only")
     if name != "bbr":
-        return note("congestion control", name, "bbr holds shorter queues: sysctl net.ipv4.tcp_congestion_control=bbr")
+        return note("congestion control", name, "bbr keeps queues shorter: sysctl net.ipv4.tcp_congestion_control=bbr")
     return fine("congestion control", name)
 
 
 def free_port(port: int, purpose: str) -> Finding:
-    """Whether a command's default port is free, or used by a running command of this project."""
+    """Whether a command's default port is free, or used by a command of this project."""
     matter = f"port {port}"
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -123,15 +121,15 @@ def free_port(port: int, purpose: str) -> Finding:
             probe.bind(("127.0.0.1", port))
         except OSError as error:
             if error.errno == errno.EADDRINUSE and is_ours(port):
-                return fine(matter, f"cags-stream runs there (default of {purpose})")
-            what = "in use by another program" if error.errno == errno.EADDRINUSE else str(error.strerror)
-            way_out = f"end that program, or give {purpose} another: {PORT_FLAGS[purpose]}"
-            return missing(matter, f"{what} (default of {purpose})", way_out)
+                return fine(matter, f"used by cags-stream (default of {purpose})")
+            reason = "in use by another program" if error.errno == errno.EADDRINUSE else str(error.strerror)
+            remedy = f"end that program, or choose another port for {purpose}: {PORT_FLAGS[purpose]}"
+            return missing(matter, f"{reason} (default of {purpose})", remedy)
     return fine(matter, f"free for {purpose}")
 
 
 def is_ours(port: int) -> bool:
-    """Whether a server, directly or through a shaper, or a client's page answers on a port of this machine."""
+    """Whether a server (directly or through a shaper) or a client's page answers on a port of this machine."""
     try:
         health, page = asked(port, "/healthz"), asked(port, "/")
         with contextlib.suppress(ValueError):
@@ -142,7 +140,7 @@ def is_ours(port: int) -> bool:
 
 
 def asked(port: int, path: str) -> bytes:
-    """The beginning of a local port's answer to a request."""
+    """The first bytes of a local port's answer to a request."""
     line = http.client.HTTPConnection("127.0.0.1", port, timeout=PROBE_S)
     try:
         line.request("GET", path)
@@ -159,7 +157,7 @@ def browser(path: str | None) -> Finding:
 
 
 def read_text(path: Path) -> str:
-    """The file's text; empty where there is none."""
+    """The file's text; empty if it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError:

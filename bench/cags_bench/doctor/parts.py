@@ -1,4 +1,4 @@
-"""The program's own parts: kernels, codecs, graphics card, optional packages."""
+"""Parts of the program: kernels, codecs, graphics card, optional packages."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ OPTIONAL = {
     "s3fs": ("bundles in S3 or MinIO", "pip install 'cags-stream[scale]'"),
 }
 ROUNDTRIP_LEVELS = 8
-"""How far a grey H.264 picture at crf 20 may come back off, in 8-bit levels; a colour-tagging fault is far more."""
+"""Largest error of a grey H.264 picture at crf 20 after a round trip, in 8-bit levels; wrong colour tags cause more."""
 
 
 def part_findings() -> Iterator[Finding]:
-    """Each part is tried, not only looked for."""
+    """Run a small trial of each part."""
     yield guarded("kernels", kernels)
     yield guarded("H.264", h264)
     yield guarded("Draco", draco)
@@ -29,7 +29,7 @@ def part_findings() -> Iterator[Finding]:
 
 
 def guarded(matter: str, trial: Callable[[], Finding]) -> Finding:
-    """A trial whose failure is a finding."""
+    """Run a trial; its failure becomes a finding."""
     try:
         return trial()
     except (ImportError, OSError, RuntimeError, ValueError, CagsError) as error:
@@ -46,13 +46,15 @@ def kernels() -> Finding:
         return missing("kernels", f"reference path only: {why_unavailable()}", remedy)
     ours, theirs = version("cags-stream"), version("cags-kernels")
     if ours != theirs:
-        found = f"version {theirs}, where cags-stream is {ours}"
-        return missing("kernels", found, "install both of one version: pip install -c constraints.txt ./kernels -e .")
+        found = f"version {theirs}, but cags-stream has version {ours}"
+        return missing(
+            "kernels", found, "install both with the same version: pip install -c constraints.txt ./kernels -e ."
+        )
     return fine("kernels", f"native, {instruction_set()}")
 
 
 def h264() -> Finding:
-    """One picture through the encoder and the decoder."""
+    """Encode and decode one picture."""
     import numpy as np
 
     from cags_common.video.h264 import H264Decoder, H264Encoder
@@ -60,12 +62,14 @@ def h264() -> Finding:
     picture = np.full((64, 96, 3), 0.5, np.float32)
     decoded = H264Decoder().decode(H264Encoder(96, 64, 30.0).encode(picture))
     if decoded is None or float(np.abs(decoded - picture).max()) * 255 > ROUNDTRIP_LEVELS:
-        return missing("H.264", "a grey picture comes back wrong", "install av again: pip install --force-reinstall av")
-    return fine("H.264", "libx264 and decoder, one picture in, one out")
+        return missing(
+            "H.264", "a grey picture changes in a round trip", "install av again: pip install --force-reinstall av"
+        )
+    return fine("H.264", "libx264 and decoder passed a round trip of one picture")
 
 
 def draco() -> Finding:
-    """A few points through Draco, in order."""
+    """Encode and decode a few points with Draco, in order."""
     import DracoPy
     import numpy as np
 
@@ -73,8 +77,10 @@ def draco() -> Finding:
     lattice = {"quantization_bits": 5, "quantization_range": 31.0, "quantization_origin": np.zeros(3)}
     back = DracoPy.decode(DracoPy.encode(points, preserve_order=True, **lattice)).points
     if not np.allclose(back, points, atol=1e-3):
-        return missing("Draco", "points come back wrong", "install it again: pip install --force-reinstall DracoPy")
-    return fine("Draco", "points come back in order")
+        return missing(
+            "Draco", "points change in a round trip", "install it again: pip install --force-reinstall DracoPy"
+        )
+    return fine("Draco", "passed a round trip of ordered points")
 
 
 def kmeans() -> Finding:
@@ -85,7 +91,7 @@ def kmeans() -> Finding:
 
 
 def gpu() -> Finding:
-    """The graphics processor, which nothing needs: adapter, driver and limits."""
+    """The optional graphics processor: adapter, driver and limits."""
     from cags_gpu.device import choose
 
     try:
@@ -97,7 +103,7 @@ def gpu() -> Finding:
 
 
 def optional(package: str, purpose: str, remedy: str) -> Finding:
-    """A package that some uses need."""
+    """A package that only some uses need."""
     if find_spec(package) is None:
         return note(package, f"absent; needed for {purpose}", remedy)
     return fine(package, purpose)

@@ -1,4 +1,4 @@
-"""How long the stages of a displayed frame take here, and which settings follow from that."""
+"""Times of the stages of a displayed frame on this machine, and the settings that follow."""
 
 from __future__ import annotations
 
@@ -22,33 +22,33 @@ if TYPE_CHECKING:
 
 SCENE = "procedural:size={splats},frames=1"
 NATIVE_SPLATS, READABLE_SPLATS = 30_000, 2_000
-"""The first is the demo's scene."""
+"""The first is the size of the demo's scene."""
 SIZES = ((400, 300), (640, 480), (800, 600), (1600, 1200))
 READABLE_SIZES = ((320, 240),)
 WARM_UPS, REPETITIONS = 1, 5
 FRAME_MS = 1000.0 / 30.0
 DRAW_SHARE = 0.6
-"""Of a frame's time that drawing may take: decoding and the page want the rest."""
+"""Share of a frame's time for drawing; decoding and the page need the rest."""
 
 CORRECTED_MS = 1000.0 / 24.0
-"""A frame that is corrected from a new picture may take; one from a difference takes less."""
+"""Time limit for a frame corrected by a new picture; differences take less."""
 
 FPS = 30.0
 KNEE = 0.12
-"""Of the differences that are corrected."""
+"""Knee of the corrected differences."""
 
 FLAWS = 0.05
-"""Standard deviation of the errors that the client's colours are given, so that there is something to correct."""
+"""Standard deviation of the errors added to the client's colours, so that there is something to correct."""
 
 REFERENCE_SHARE = 0.6
-"""Of a frame's time that a reference may take the server's threads."""
+"""Share of a frame's time that a reference may take on the server's threads."""
 
 
 @dataclass(frozen=True, slots=True)
 class SizeTimes:
     """Median milliseconds of each stage at one picture size.
 
-    ``own``: the splats as a reference sees them; drawn once for each picture that comes, and never for a difference.
+    ``own``: the client's splats drawn from a reference's camera, once per new picture, and never for a difference.
     """
 
     width: int
@@ -57,31 +57,31 @@ class SizeTimes:
     correct_ms: float
     own_ms: float
     gpu_draw_ms: float | None = None
-    """Drawn by the graphics processor and read back, where there is one."""
+    """Drawn by the graphics processor and read back; None without one."""
     gpu_total_ms: float | None = None
-    """The same of a frame that is corrected from a new picture, in one go."""
+    """A frame corrected by a new picture, made in one go by the graphics processor; None without one."""
 
     @property
     def total_ms(self) -> float:
-        """The display path without decoding, of a frame that is corrected from a new picture."""
+        """Time of a frame corrected by a new picture, without decoding."""
         return self.raster_ms + self.correct_ms + self.own_ms
 
     @property
     def drawn_ms(self) -> float:
-        """A drawing by what ``--raster auto`` takes."""
+        """Time to draw on the device chosen by ``--raster auto``."""
         return self.raster_ms if self.gpu_draw_ms is None else self.gpu_draw_ms
 
     @property
     def corrected_ms(self) -> float:
-        """A corrected frame by what ``--raster auto`` takes."""
+        """Time of a corrected frame on the device chosen by ``--raster auto``."""
         return self.total_ms if self.gpu_total_ms is None else self.gpu_total_ms
 
 
 @dataclass(frozen=True, slots=True)
 class Timings:
-    """What was measured: ``splats`` in view, the server's reference, and the client at several sizes.
+    """Results: ``splats`` in view, the server's reference, and the client at several sizes.
 
-    For a reference the server draws the truth (``reference_ms``) and what the client holds (``mirror_ms``), and codes
+    For a reference the server draws the true view (``reference_ms``) and the client's view (``mirror_ms``), and codes
     the difference (``encode_ms``).
     """
 
@@ -93,20 +93,20 @@ class Timings:
     encode_ms: float
     sizes: tuple[SizeTimes, ...]
     adapter: str = ""
-    """The graphics processor that was timed; empty where there is none."""
+    """Name of the graphics processor; empty without one."""
     gpu_reference_ms: float | None = None
-    """Truth, what the client holds, and their difference there, in one go."""
+    """True view, client's view and their difference in one go on the graphics processor."""
 
     @property
     def server_ms(self) -> float:
-        """A reference by what ``--rasteriser auto`` takes."""
+        """Time of a reference on the device chosen by ``--rasteriser auto``."""
         drawn = self.reference_ms + self.mirror_ms if self.gpu_reference_ms is None else self.gpu_reference_ms
         return drawn + self.encode_ms
 
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """Settings that fit this machine, as flags of the two commands, and why."""
+    """Recommended settings for this machine, as flags of the two commands, and the reason."""
 
     server: str
     client: str
@@ -114,7 +114,7 @@ class Advice:
 
 
 def measure(threads: int) -> Timings:
-    """Time one scene at several sizes; a few seconds with the kernels, half a minute without."""
+    """Time one scene at several sizes: a few seconds with the kernels, half a minute without."""
     from cags_common import raster
     from cags_common.correction import Reference, compand
     from cags_common.raster.base import DepthKind, RenderOptions
@@ -155,13 +155,13 @@ def measure(threads: int) -> Timings:
 
 
 def _flawed(splats: Splats) -> Splats:
-    """``splats`` as a client may hold them: their colours are off."""
-    off = np.random.default_rng(0).normal(0.0, FLAWS, splats.sh0.shape)
-    return replace(splats, sh0=splats.sh0 + np.float32(off))
+    """``splats`` with errors of colour, as a client may hold them."""
+    errors = np.random.default_rng(0).normal(0.0, FLAWS, splats.sh0.shape)
+    return replace(splats, sh0=splats.sh0 + np.float32(errors))
 
 
 def _beside(pose: Pose) -> Pose:
-    """A step away, so that one reference differs from the next."""
+    """A pose a small step away, so that successive references differ."""
     x, y, z = pose.position
     return Pose((x + 0.01, y, z), pose.rotation)
 
@@ -183,7 +183,7 @@ def _coding_ms(pictures: Sequence[tuple[F32, F32]], intrinsics: Intrinsics) -> f
 
 @dataclass(frozen=True, slots=True)
 class _OnGpu:
-    """The scene and what a client holds of it on the graphics processor, and that one's name."""
+    """The true scene and a client's copy on the graphics processor, and the name of the processor."""
 
     truth: GpuScene
     held: GpuScene
@@ -191,7 +191,7 @@ class _OnGpu:
 
 
 def _on_gpu(truth: Splats, held: Splats) -> _OnGpu | None:
-    """Both there; None where there is none."""
+    """Load both on the graphics processor; None without one."""
     from cags_common.errors import ConfigError
     from cags_gpu.device import choose
     from cags_gpu.raster import GpuRasteriser
@@ -204,7 +204,7 @@ def _on_gpu(truth: Splats, held: Splats) -> _OnGpu | None:
 
 
 def _with_gpu(times: SizeTimes, gpu: _OnGpu | None, pose: Pose, picture: Reference) -> SizeTimes:
-    """``times`` with those of the graphics processor; every corrected frame has a new ``picture``."""
+    """``times`` with those of the graphics processor added; every corrected frame has a new ``picture``."""
     if gpu is None:
         return times
     from cags_common.raster.base import RenderOptions
@@ -226,21 +226,21 @@ def _gpu_reference_ms(gpu: _OnGpu, camera: Camera, options: RenderOptions) -> fl
 
 
 def _at_size(scene: RasterScene, camera: Camera, reference: Reference, threads: int) -> SizeTimes:
-    """Every frame with a reference of its own, as it comes: nothing of it has been worked out before."""
+    """Times at one size. Every frame gets a new reference, so nothing about it is cached."""
     from cags_common import correction
     from cags_common.raster.base import DepthKind, Footprint, RenderOptions
 
     options = RenderOptions(threads=threads)
     view = scene.render(camera, options)
     footprint = Footprint.of(camera.intrinsics, reference.camera.intrinsics)
-    as_seen = replace(options, depth=DepthKind.NONE, footprint=footprint)
+    own_options = replace(options, depth=DepthKind.NONE, footprint=footprint)
     corrector = correction.create("auto", threads)
     return SizeTimes(
         camera.width_px,
         camera.height_px,
         median_ms(lambda: scene.render(camera, options)),
         median_ms(lambda: corrector.correct(view, camera, replace(reference))),
-        median_ms(lambda: scene.render(reference.camera, as_seen)),
+        median_ms(lambda: scene.render(reference.camera, own_options)),
     )
 
 
@@ -263,9 +263,9 @@ def median_ms(work: Callable[[], object]) -> float:
 
 
 def advise(timings: Timings) -> Advice:
-    """The largest picture that is drawn in time, and corrected in the time of 24 frames a second.
+    """Recommend the largest picture that is drawn in time and corrected at 24 frames per second.
 
-    Where no size is corrected in time but one is drawn, the client may halve its pixels while frames take too long.
+    If no size is corrected in time but one is drawn, the client may halve its pixels while frames take too long.
     """
     every = max(1, math.ceil(timings.server_ms / (FRAME_MS * REFERENCE_SHARE)))
     server = f"--render-threads {timings.threads}" + (f" --reference-every {every}" if every > 1 else "")
@@ -274,11 +274,11 @@ def advise(timings: Timings) -> Advice:
     scene = f"at {timings.splats:,} splats" + (" on the GPU" if timings.adapter else "")
     if not drawn:
         least = min(timings.sizes, key=lambda s: s.width)
-        why = f"{least.drawn_ms:.0f} ms to draw a frame {scene}: 30 a second are out of reach"
-        return Advice(server, _flags(least, timings, "--restore none --exactness fast"), why)
+        reason = f"{least.drawn_ms:.0f} ms to draw a frame {scene}: too slow for 30 frames per second"
+        return Advice(server, _flags(least, timings, "--restore none --exactness fast"), reason)
     best = max(corrected or drawn, key=lambda s: s.width)
-    why = f"{scene} a frame takes {best.drawn_ms:.0f} ms, one that is corrected {best.corrected_ms:.0f}"
-    return Advice(server, _flags(best, timings, f"--resolution {'full' if corrected else 'auto'}"), why)
+    reason = f"{scene} a frame takes {best.drawn_ms:.0f} ms, a corrected frame {best.corrected_ms:.0f} ms"
+    return Advice(server, _flags(best, timings, f"--resolution {'full' if corrected else 'auto'}"), reason)
 
 
 def _flags(size: SizeTimes, timings: Timings, more: str) -> str:

@@ -1,8 +1,8 @@
-"""VMAF and XPSNR, by the ffmpeg that the package ``imageio-ffmpeg`` carries.
+"""VMAF and XPSNR, measured with the ffmpeg of the package ``imageio-ffmpeg``.
 
-VMAF (Li et al., Netflix 2016; model v0.6.1) predicts what people say of a film on a television three screen heights
-away, 0 to 100. XPSNR (Helmrich et al., 2020) is a PSNR that weighs errors by how visible the picture and its motion
-make them, in dB. Both get the films without loss, as raw pictures.
+VMAF (Li et al., Netflix 2016; model v0.6.1) predicts viewers' ratings from 0 to 100 on a television at three screen
+heights. XPSNR (Helmrich et al., 2020) is a PSNR in dB whose errors are weighted by their visibility in the picture and
+its motion. Both get the films without loss, as raw pictures.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ FILTERS = {VMAF: "libvmaf", XPSNR: "xpsnr"}
 """Names of the metrics, and ffmpeg's filters."""
 
 SMALLEST_SIDE_PX = 32
-"""libvmaf works on four scales of the picture."""
+"""Smallest side for libvmaf, which uses four scales of the picture."""
 
 VMAF_LOG, XPSNR_LOG = "vmaf.json", "xpsnr.txt"
 MINIMUM = re.compile(r"minimum: (inf|[0-9.]+)")
@@ -32,20 +32,20 @@ MINIMUM = re.compile(r"minimum: (inf|[0-9.]+)")
 
 @functools.cache
 def program() -> str | None:
-    """The ffmpeg of the package; None where it is not installed."""
+    """The ffmpeg of the package imageio-ffmpeg; None if it is not installed."""
     try:
         from imageio_ffmpeg import get_ffmpeg_exe
     except ImportError:
         return None
     try:
         return str(get_ffmpeg_exe())
-    except RuntimeError:  # the package has none for this system
+    except RuntimeError:  # the package has no ffmpeg for this system
         return None
 
 
 @functools.cache
 def filters() -> frozenset[str]:
-    """Metrics that this ffmpeg was built with."""
+    """Metrics supported by this ffmpeg."""
     ffmpeg = program()
     if ffmpeg is None:
         return frozenset()
@@ -55,9 +55,9 @@ def filters() -> frozenset[str]:
 
 
 def measured(film: Film, metrics: Collection[str]) -> dict[str, float]:
-    """Each of ``metrics`` (:data:`VMAF`, :data:`XPSNR`) of a film; those that :func:`filters` lacks are left out.
+    """The requested ``metrics`` (:data:`VMAF`, :data:`XPSNR`) of a film, without those that :func:`filters` lacks.
 
-    XPSNR is the least of the three colour planes', at most :data:`MAX_PSNR_DB`. Raises :class:`CagsError` where ffmpeg
+    XPSNR is the minimum over the three colour planes, at most :data:`MAX_PSNR_DB`. Raises :class:`CagsError` if ffmpeg
     fails.
     """
     wanted = [metric for metric in FILTERS if metric in metrics and metric in filters()]
@@ -89,7 +89,7 @@ def _run(film: Film, metrics: list[str], folder: Path) -> None:
     if done.returncode:
         said = (done.stderr.strip().splitlines() or ["nothing"])[-1]
         raise CagsError(
-            f"ffmpeg cannot measure {', '.join(metrics)}: it says {said}; leave them out of --video-metrics"
+            f"ffmpeg cannot measure {', '.join(metrics)}: its message: {said}; leave them out of --video-metrics"
         )
 
 

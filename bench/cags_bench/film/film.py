@@ -1,4 +1,4 @@
-"""The film of displayed pictures at the clip's frame rate, and the film of the true pictures."""
+"""Films of the displayed and of the true pictures, at the clip's frame rate."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Truth = Callable[[int, Camera], tuple[F32, F32]]
 
 
 class RawVideo:
-    """Pictures of one size [H, W, 3] in a file, one after the other: ``rgb24`` as ffmpeg calls it."""
+    """Pictures of one size [H, W, 3] in a file, one after another (``rgb24`` in ffmpeg)."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.count = path, 0
@@ -33,7 +33,7 @@ class RawVideo:
         self._file: IO[bytes] = path.open("wb")
 
     def add(self, picture: Picture) -> None:
-        """Append a picture. Raises :class:`OutputError` where the disk is full."""
+        """Append a picture. Raises :class:`OutputError` if the disk is full."""
         self.shape = (picture.shape[0], picture.shape[1], 3)
         try:
             self._file.write(np.ascontiguousarray(picture).data)
@@ -42,11 +42,11 @@ class RawVideo:
         self.count += 1
 
     def close(self) -> None:
-        """Finish writing, so that the file may be read."""
+        """Finish writing, so that the file can be read."""
         self._file.close()
 
     def pictures(self) -> NDArray[np.uint8]:
-        """All pictures [F, H, W, 3], read as they are looked at."""
+        """All pictures [F, H, W, 3], memory-mapped."""
         if not self.count:
             return np.zeros((0, *self.shape), np.uint8)
         return np.memmap(self.path, np.uint8, "r", shape=(self.count, *self.shape))
@@ -60,7 +60,7 @@ class Film:
     truth: RawVideo
     fps: float
     frames: tuple[int, ...]
-    """Media frame at each position; a skipped frame is included, with the previous picture."""
+    """Media frame at each position. Skipped frames are included; they repeat the previous picture."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -73,10 +73,10 @@ class Film:
 
 
 class FilmMaker:
-    """Records the film of a session in a temporary folder of its own.
+    """Records the film of a session in a temporary folder.
 
-    A skipped frame repeats the previous picture, as a display does; its truth is rendered from the camera between its
-    neighbours. A freeze therefore appears in the film as viewers see it.
+    A skipped frame repeats the previous picture, as on a display. Its truth is rendered from a camera between its
+    neighbours', so a freeze appears in the film as viewers see it.
     """
 
     def __init__(self, truth: Truth, fps: float) -> None:
@@ -102,18 +102,18 @@ class FilmMaker:
         self.show(presented.frame, presented.camera, bytes_of(presented.rgb))
 
     def show(self, frame: int, camera: Camera, picture: Picture) -> None:
-        """``picture`` is on the display from media frame ``frame`` on, seen from ``camera``. Frames come in order."""
+        """From media frame ``frame`` on, the display shows ``picture``, seen from ``camera``. Frames come in order."""
         if self._last is not None:
-            there, held = self._last
+            last_camera, held = self._last
             missing = range(self._frames[-1] + 1, frame)
             for number, between in enumerate(missing, start=1):
                 share = number / (len(missing) + 1)
-                self._add(between, replace(camera, pose=there.pose.towards(camera.pose, share)), held)
+                self._add(between, replace(camera, pose=last_camera.pose.towards(camera.pose, share)), held)
         self._add(frame, camera, picture)
         self._last = camera, picture
 
     def film(self, end: int | None = None) -> Film:
-        """The whole film, up to media frame ``end`` (excluded), which may lie after the last displayed frame.
+        """The whole film up to media frame ``end`` (excluded), which may be after the last displayed frame.
 
         It can be read until the maker is closed.
         """

@@ -1,8 +1,8 @@
-"""JOD, just-objectionable differences, by FovVideoVDP (Mantiuk et al., SIGGRAPH 2021): the package ``pyfvvdp``.
+"""JOD (just-objectionable differences) by FovVideoVDP (Mantiuk et al., SIGGRAPH 2021), the package ``pyfvvdp``.
 
-A model of what the eye sees in space and time, flicker included; 10 is no visible difference, and one less is a
-difference that three people of four see. It models luminance, not colour. The display is a 24" full HD monitor at
-0.6 m; nobody's gaze is known, so every pixel counts as looked at.
+A model of the visibility of differences in space and time, including flicker. 10 means no visible difference; a
+difference of one is seen by three people of four. It models luminance, not colour. The assumed display is a 24" full HD
+monitor at 0.6 m. Gaze is unknown, so every pixel counts as looked at.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ JOD = "jod"
 
 
 def available() -> bool:
-    """Whether the package is installed, and what it needs."""
+    """Whether the package and its dependencies are installed."""
     return find_spec("pyfvvdp") is not None and find_spec("torch") is not None
 
 
@@ -26,7 +26,7 @@ def jod(film: Film) -> float:
     import torch
 
     with warnings.catch_warnings(), torch.no_grad():
-        warnings.simplefilter("ignore")  # of the package's use of other packages
+        warnings.simplefilter("ignore")  # warnings by the package about other packages
         import pyfvvdp
 
         metric = pyfvvdp.fvvdp(display_name=DISPLAY, device=torch.device("cpu"), quiet=True)

@@ -15,17 +15,17 @@ Scores: TypeAlias = dict[str, float]
 
 METRICS = VMAF, XPSNR, JOD
 EXTRAS = {VMAF: "video-metrics", XPSNR: "video-metrics", JOD: "jod"}
-"""Metric and the extra that provides it."""
+"""Metric -> extra that provides it."""
 
 AUTO, NONE = "auto", "none"
 AUTOMATIC = VMAF, XPSNR
-"""Metrics of :data:`AUTO`, without JOD, which takes ten times as long as the rest of a play."""
+"""Metrics of :data:`AUTO`: without JOD, which takes ten times as long as the rest of a play."""
 
 
 def chosen(text: str) -> tuple[str, ...]:
-    """Metrics named by a setting: some of :data:`METRICS`, comma separated, or :data:`AUTO` or :data:`NONE`.
+    """Metrics named by a setting: names from :data:`METRICS`, comma separated, or :data:`AUTO` or :data:`NONE`.
 
-    Raises :class:`ConfigError` for unknown ones.
+    Raises :class:`ConfigError` for unknown names.
     """
     if text == NONE:
         return ()
@@ -36,11 +36,11 @@ def chosen(text: str) -> tuple[str, ...]:
 
 
 def lacking(metrics: Collection[str]) -> dict[str, str]:
-    """The ``metrics`` that cannot be measured here, each with the reason and the remedy."""
+    """The ``metrics`` that cannot be measured on this machine, with the reason and remedy."""
     out = {}
     for metric in metrics:
-        here = available() if metric == JOD else metric in ffmpeg.filters()
-        if here:
+        usable = available() if metric == JOD else metric in ffmpeg.filters()
+        if usable:
             continue
         if metric != JOD and ffmpeg.program() is not None:
             out[metric] = (
@@ -52,7 +52,7 @@ def lacking(metrics: Collection[str]) -> dict[str, str]:
 
 
 def measure(film: Film, metrics: Collection[str]) -> Scores:
-    """The requested and available ones of ``vmaf``, ``xpsnr_db`` and ``jod`` of a film.
+    """The requested metrics of a film, as far as they are available: ``vmaf``, ``xpsnr_db`` and ``jod``.
 
     Raises :class:`CagsError` if an installed program fails.
     """

@@ -1,4 +1,4 @@
-"""Films for people: a clip to play, and a strip of neighbouring frames."""
+"""Writes films as video clips and as strips of consecutive frames."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from cags_common.errors import ConfigError
 
 STRIP_FRAMES = 12
 STRIP_WIDTH_PX = 320
-"""Width of one picture of a strip; smaller pictures stay as they are."""
+"""Width of one picture of a strip; smaller pictures are not enlarged."""
 
 ERROR_GAIN = 4
-"""Errors are shown so many times as large as they are, around grey."""
+"""Factor by which errors are amplified, around grey."""
 
 TITLE_PX = 22
 
 
 def write_clip(film: Film, path: Path, *, beside_truth: bool) -> None:
-    """Write the film as H.264 to ``path``; ``beside_truth``: with the true picture to the right of each.
+    """Write the film as H.264 to ``path``. ``beside_truth``: with the true picture to the right of each.
 
-    Raises :class:`OutputError` where it cannot be written.
+    Raises :class:`OutputError` if the file cannot be written.
     """
     writer = Mp4Writer(path, film.fps)
     done = False
@@ -38,10 +38,10 @@ def write_clip(film: Film, path: Path, *, beside_truth: bool) -> None:
 
 
 def write_strip(film: Film, start: int, psnr_db: Sequence[float | None], path: Path) -> None:
-    """Write :data:`STRIP_FRAMES` frames from media frame ``start`` on side by side: shown, true, and the error.
+    """Write :data:`STRIP_FRAMES` frames from media frame ``start``, side by side: shown, true, and the error.
 
-    ``psnr_db`` is of each frame of the film, None where it was not measured. Raises :class:`ConfigError` where the film
-    ends before.
+    ``psnr_db`` has a value for each frame of the film, None if it was not measured. Raises :class:`ConfigError` if the
+    film ends too early.
     """
     if start not in film.frames or film.frames.index(start) + STRIP_FRAMES > len(film.frames):
         last = film.frames[-1] - STRIP_FRAMES + 1 if film.frames else -1

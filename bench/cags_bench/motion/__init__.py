@@ -1,1 +1,1 @@
-"""``cags-bench motion``: what moving scenes cost, with motion coded apart and without."""
+"""``cags-bench motion``: the cost of moving scenes with motion coded separately and without."""

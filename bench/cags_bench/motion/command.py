@@ -1,4 +1,4 @@
-"""``cags-bench motion``: bytes a frame and picture quality of moving scenes, motion coded apart and not, in one run."""
+"""``cags-bench motion``: bytes per frame and quality of moving scenes, with separate motion and with whole splats."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from cags_bench.motion.settings import MotionSettings
 from cags_common.settings import add_settings, load_settings
 
 SUMMARY = (
-    "Encode moving scenes with motion coded apart and with changed splats sent whole, and compare bytes a frame and "
-    "PSNR; time the evaluation of motion."
+    "Encode moving scenes with motion coded separately and with changed splats sent whole; compare bytes per frame and "
+    "PSNR; measure the time to evaluate motion."
 )
 
 EXAMPLES = """\
@@ -23,12 +23,12 @@ EXAMPLES = """\
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's flags."""
+    """Add the command's flags."""
     add_settings(parser, MotionSettings)
 
 
 def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """A line a scene and way to encode, one for the times, then the summary."""
+    """One line per scene and coding, one for the times, then the summary."""
     from cags_bench.motion.experiment import measure
 
     return measure(load_settings(MotionSettings, arguments))

@@ -32,7 +32,7 @@ TIMED_SPLATS = 60_000
 
 
 def measure(settings: MotionSettings) -> Iterator[JsonObject]:
-    """One line a scene and way, one for the times, and the summary."""
+    """One line per scene and coding, one for the times, then the summary."""
     lines = []
     for scene in settings.scene_list:
         for way in (WHOLE, TRACKS) if settings.whole else (TRACKS,):
@@ -46,7 +46,7 @@ def measure(settings: MotionSettings) -> Iterator[JsonObject]:
 
 
 def _encoded(scene: str, way: str, settings: MotionSettings) -> JsonObject:
-    """Encode ``scene`` and say what it costs and how good it is."""
+    """Encode ``scene`` and measure bytes and quality."""
     source = open_scene(scene)
     with tempfile.TemporaryDirectory(prefix="cags-motion-") as folder, open_workers(settings.workers) as workers:
         url, started = str(Path(folder) / "clip.cags"), time.perf_counter()
@@ -71,7 +71,7 @@ def _encoded(scene: str, way: str, settings: MotionSettings) -> JsonObject:
 
 
 def frame_bytes(reader: BundleReader) -> JsonObject:
-    """Bytes of the key frames' looks, and of everything else a frame after a key frame: bases alone, and all levels."""
+    """Bytes of the key frames' looks, and bytes per later frame: base levels alone, and all levels."""
     manifest, key = reader.manifest, 0
     later = {kind: np.zeros(2) for kind in TileKind}
     removed = 0
@@ -99,7 +99,7 @@ def frame_bytes(reader: BundleReader) -> JsonObject:
 
 
 def _quality(reader: BundleReader, source: FrameSource, settings: MotionSettings) -> JsonObject:
-    """PSNR over covered pixels against the source, of the bases alone and of everything."""
+    """PSNR over covered pixels against the source: base levels alone, and all levels."""
     cameras = cameras_around(source.focus, source.up, settings.views)
     rasteriser, frames = raster.create("auto"), reader.manifest.frames
     judged = sorted({round(at) for at in np.linspace(min(1, frames - 1), frames - 1, settings.judged)})
@@ -107,16 +107,16 @@ def _quality(reader: BundleReader, source: FrameSource, settings: MotionSettings
     for name, lod in (("base", 0), ("top", None)):
         player, found = BundlePlayer(reader, lod), []
         for index in judged:
-            pictures = [rasteriser.load(s) for s in (source.frame(index), player.frame(index).splats)]
+            scenes = [rasteriser.load(s) for s in (source.frame(index), player.frame(index).splats)]
             for camera in cameras:
-                true, shown = (picture.render(camera, RenderOptions()) for picture in pictures)
+                true, shown = (scene.render(camera, RenderOptions()) for scene in scenes)
                 found.append(psnr(shown.rgb, true.rgb, covered_mask(true.alpha)))
         out |= {f"{name}_psnr_db": round(float(np.mean(found)), 2), f"{name}_worst_db": round(min(found), 2)}
     return out
 
 
 def evaluation_times(settings: MotionSettings) -> JsonObject:
-    """How long moving :data:`TIMED_SPLATS` splats takes, as a client does it for every frame."""
+    """Time to move :data:`TIMED_SPLATS` splats, as a client does for every frame."""
     from cags_bench.motion.moving import moving_buffer
 
     buffer = moving_buffer(TIMED_SPLATS, settings.threads)
@@ -142,7 +142,7 @@ def evaluation_times(settings: MotionSettings) -> JsonObject:
 
 @dataclass(frozen=True)
 class _Pair:
-    """Both ways of one scene."""
+    """Results of one scene with both codings."""
 
     scene: str
     whole: JsonObject
@@ -150,12 +150,12 @@ class _Pair:
 
     @property
     def fewer(self) -> float:
-        """Times fewer bytes a frame, everything sent."""
+        """How many times fewer bytes per frame separate motion takes, with all levels."""
         return float(self.whole["top_bytes_a_frame"]) / max(float(self.tracks["top_bytes_a_frame"]), 1.0)
 
     @property
     def lost_db(self) -> float:
-        """PSNR that motion apart has less than changed splats sent whole."""
+        """PSNR lost by separate motion compared with whole splats."""
         return float(self.whole["top_psnr_db"]) - float(self.tracks["top_psnr_db"])
 
 
@@ -179,13 +179,13 @@ def _checks(lines: list[JsonObject], times: JsonObject) -> list[JsonObject]:
 
 
 def _upload_checks(scene: str, line: JsonObject) -> list[JsonObject]:
-    """Every row that differs is told of, and few that do not."""
-    untold = line["rows_that_differ_and_are_not_told_of"]
-    told = line["rows_moved_a_frame"] + line["rows_changed_a_frame"]
-    share = round(told / max(line["rows_that_differ_a_frame"], 1), 2)
+    """Every row that differs is reported to the renderer, and few that do not."""
+    unreported = line["rows_that_differ_and_are_not_told_of"]
+    reported = line["rows_moved_a_frame"] + line["rows_changed_a_frame"]
+    share = round(reported / max(line["rows_that_differ_a_frame"], 1), 2)
     return [
-        check(f"{scene}: rows that differ and are not told of", "0", untold, untold == 0),
-        check(f"{scene}: rows told of / rows that differ", "<= 2", share, share <= 2),
+        check(f"{scene}: rows that differ and are not reported", "0", unreported, unreported == 0),
+        check(f"{scene}: rows reported / rows that differ", "<= 2", share, share <= 2),
     ]
 
 

@@ -1,6 +1,6 @@
-"""A film strip: consecutive frames of one scene over one link, changed splats sent whole above and motion apart below.
+"""A film strip: consecutive frames of one scene over one link, with whole splats above and separate motion below.
 
-What is drawn is the client's own splats, before any reference corrects them: motion shows there, and nothing else.
+It shows the client's own splats before references correct them, so that only the coding of motion differs.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from cags_encoder import EncodeSettings
 WAYS = {"none": "changed splats sent whole", "tracks": "motion coded apart"}
 WIDTH_PX, HEIGHT_PX = 320, 240
 FIRST, COUNT = 36, 6
-"""The first frame of the strip (1.2 s into the play), and how many."""
+"""First frame of the strip (1.2 s into the play), and number of frames."""
 
 
 def write_film(path: Path, scene: str, trace: str, cache: str) -> JsonObject:
-    """Play ``scene`` over ``trace`` both ways, write the strip to ``path``, and say what was seen."""
+    """Play ``scene`` over ``trace`` with both codings, write the strip to ``path``, and return the PSNR."""
     rows, figures = [], {}
     for way, title in WAYS.items():
         pictures, found = _played(scene, trace, way, cache)

@@ -1,4 +1,4 @@
-"""Moving splats without a scene: tiles whose motion has blocks, positions and rotations, ready to be evaluated."""
+"""Moving splats without a scene: tiles whose motion has blocks, positions and rotations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Settings of the experiment on motion."""
+"""Settings of the motion benchmark."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from pathlib import Path
 from cags_common.settings import check_settings, setting
 
 DISGUISE = "shuffle=1,quantise=sog"
-"""Options that make any scene's frames what a capture's tool chain hands on."""
+"""Options that make a scene's frames like those from a capture's tool chain."""
 
 
 @dataclass(frozen=True)
 class MotionSettings:
     """What is measured."""
 
-    shared: str = setting("../shared", "folder with scenes/; what is not there is left out")
+    shared: str = setting("../shared", "folder that contains scenes/; missing scenes are left out")
     scenes: str = setting("", "scenes, separated by ';'; empty: those of --shared and generated ones")
-    frames: int = setting(49, "frames of each scene at most", low=3, high=10_000)
-    judged: int = setting(7, "frames whose pictures are compared, spread over the clip", low=1, high=1000)
+    frames: int = setting(49, "largest number of frames per scene", low=3, high=10_000)
+    judged: int = setting(7, "number of frames to compare with the source, spread over the clip", low=1, high=1000)
     views: int = setting(3, "views of each judged frame", low=1, high=64)
-    workers: int = setting(2, "processes that encode", low=1, high=64)
-    whole: bool = setting(True, "whether to encode with changed splats sent whole, too (the state to compare with)")
-    film: str = setting("", "also play film_scene both ways in virtual time, and write a film strip to this file")
+    workers: int = setting(2, "encoder processes", low=1, high=64)
+    whole: bool = setting(True, "also encode with changed splats sent whole, for comparison")
+    film: str = setting("", "also play --film-scene with both codings in virtual time and write a film strip here")
     film_scene: str = setting("fourd:splats=20000,births=2500", "scene of the film strip")
     film_trace: str = setting("generated:steady-10", "network trace of the film strip")
-    cache: str = setting("", "folder of the film's bundles; empty: a cache folder of the user's")
+    cache: str = setting("", "folder of encoded bundles for the film; empty: the user's cache folder")
     repetitions: int = setting(15, "timed evaluations of motion", low=1, high=1000)
     threads: int = setting(2, "threads that evaluate motion", low=1, high=64)
 
@@ -34,7 +34,7 @@ class MotionSettings:
 
     @property
     def scene_list(self) -> list[str]:
-        """Scene names that open_scene reads."""
+        """Specs of the scenes to measure."""
         if self.scenes:
             return self.scenes.split(";")
         folder = Path(self.shared) / "scenes"

@@ -1,9 +1,9 @@
-"""What the frames of a clip hand to a renderer, counted, and what that would be if the device evaluated motion.
+"""Counts the rows that a clip's frames upload to a renderer, and estimates uploads if the device evaluated motion.
 
-A row that only moved takes 36 bytes (its index, position, opacity and rotation), one that changed otherwise all of its
-columns. A device that evaluated motion would be given each chunk once: of every splat that is ever elsewhere its row,
-its place before motion, its units, and a 32-bit number for each part of each sample. Such rows would then cost nothing
-a frame, and one that changed otherwise only its other columns.
+A row that only moved takes 36 bytes (index, position, opacity and rotation); a row that changed otherwise takes all its
+columns. A device that evaluates motion would get each chunk once: for every splat that moves, its row, its state before
+motion, its units, and a 32-bit number for each component of each sample. Moved rows would then cost nothing per frame,
+and changed rows only their other columns.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ NO_IDS = np.zeros(0, np.int32)
 
 MOVED_BYTES, MOVING_COLUMNS_BYTES = 36, 32
 STATE_BYTES = 44
-"""Of a splat in a chunk on a device: row, position, opacity, rotation, and the units of its positions and rotations."""
+"""Per splat of a chunk on a device: row, position, opacity, rotation, and the units of positions and rotations."""
 
 
 @dataclass
@@ -39,19 +39,19 @@ class _Counts:
     moved: int = 0
     changed: int = 0
     differ: int = 0
-    untold: int = 0
+    unreported: int = 0
     seconds: float = 0.0
 
 
 def frame_uploads(reader: BundleReader) -> JsonObject:
-    """Means over the frames of a clip that do not begin a group, with every level, in the order of play."""
+    """Means over a clip's frames that do not begin a group, with every level, in playback order."""
     manifest = reader.manifest
     store, counts = TileStore(manifest, reader.codec), _Counts()
     before: NDArray[np.uint32] | None = None
     for frame in range(manifest.frames):
         for error in store.add_all(_arrivals(reader, frame)) + store.flush():
             raise error
-        store.end(frame, reader.removed_ids(frame) if manifest.motion is None else NO_IDS)  # lives say when splats end
+        store.end(frame, reader.removed_ids(frame) if manifest.motion is None else NO_IDS)  # lives end splats
         begun = time.thread_time()
         shown, committed = store.commit(frame)
         seconds = time.thread_time() - begun
@@ -66,7 +66,7 @@ def frame_uploads(reader: BundleReader) -> JsonObject:
         "rows_moved_a_frame": round(counts.moved / n),
         "rows_changed_a_frame": round(counts.changed / n),
         "rows_that_differ_a_frame": round(counts.differ / n),
-        "rows_that_differ_and_are_not_told_of": counts.untold,
+        "rows_that_differ_and_are_not_told_of": counts.unreported,
         "upload_bytes_a_frame": round((MOVED_BYTES * counts.moved + row * counts.changed) / n),
         "upload_bytes_a_frame_device_motion": round(
             (_chunk_bytes(reader) + (row - MOVING_COLUMNS_BYTES) * counts.changed) / n
@@ -83,24 +83,24 @@ def _arrivals(reader: BundleReader, frame: int) -> list[Arrival]:
 
 
 def _words(splats: Splats) -> NDArray[np.uint32]:
-    """Every column's bits [N, words]."""
+    """Bits of every column [N, words]."""
     columns = [np.ascontiguousarray(array, np.float32).reshape(len(splats), -1) for _, array in splats.arrays()]
     return np.concatenate(columns, axis=1).view(np.uint32)
 
 
 def _count(counts: _Counts, committed: Committed, before: NDArray[np.uint32], now: NDArray[np.uint32]) -> None:
     differ = (before != now).any(axis=1)
-    told = np.zeros(len(now), bool)
-    told[committed.rows] = told[committed.moved] = True
+    reported = np.zeros(len(now), bool)
+    reported[committed.rows] = reported[committed.moved] = True
     counts.frames += 1
     counts.moved += len(committed.moved)
     counts.changed += len(committed.rows)
     counts.differ += int(differ.sum())
-    counts.untold += int((differ & ~told).sum())
+    counts.unreported += int((differ & ~reported).sum())
 
 
 def _chunk_bytes(reader: BundleReader) -> int:
-    """Of all chunks together."""
+    """Bytes of all chunks together."""
     total = 0
     for frame in range(reader.manifest.frames):
         for entry in reader.frame(frame).tiles:
@@ -114,8 +114,8 @@ def _chunk_bytes(reader: BundleReader) -> int:
 
 
 def _device_bytes(chunk: Chunk) -> int:
-    some = in_motion(chunk)
-    count = chunk.splats if some is None else len(some.splats)
+    moving = in_motion(chunk)
+    count = chunk.splats if moving is None else len(moving.splats)
     parts = 3 * (chunk.moves is not None) + 4 * (chunk.turns is not None)
     blocks = 0 if chunk.blocks is None else 24 * chunk.blocks.shifts.shape[1]
     return count * (STATE_BYTES + 4 * parts * (chunk.span + 1)) + blocks * (chunk.span + 1)

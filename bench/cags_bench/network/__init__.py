@@ -1,1 +1,1 @@
-"""How the stream holds on a network: sessions, sending, estimation and rate adaptation, in virtual and in real time."""
+"""Network benchmarks: sessions, sending, estimation and rate adaptation, in virtual and real time."""

@@ -1,4 +1,4 @@
-"""Targets of the network benchmark, each reported with what was measured."""
+"""Targets of the network benchmark and the measured values."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ STEADY = "generated:steady-"
 
 
 def checks(lines: list[JsonObject]) -> list[JsonObject]:
-    """A check for every target that these lines can answer."""
+    """A check for every target that these lines allow."""
     by_case: dict[str, list[JsonObject]] = {}
     for line in lines:
         by_case.setdefault(str(line["case"]), []).append(line)
@@ -77,7 +77,7 @@ def _first(lines: list[JsonObject]) -> list[JsonObject]:
 
 
 def _policies(lines: list[JsonObject]) -> list[JsonObject]:
-    """``utility`` against ``paper`` in mean PSNR."""
+    """Gain of ``utility`` over ``paper`` in mean PSNR."""
     mean = {(line["trace"], line["policy"]): line["psnr_db"] for line in lines}
     gains = {
         trace: mean[trace, "utility"] - mean[trace, "paper"]

@@ -1,10 +1,10 @@
-"""Headless clients at one real server: whether each frame's data is there when it is to be displayed.
+"""Headless clients of one real server: does the data of each frame arrive before the frame is displayed?
 
-The server is a process of its own and renders every client's references; the clients share another process, speak the
-real protocol over real sockets, send their head's poses, acknowledge everything, and neither decode nor draw. The
-deadline of a frame is its display: by then its end, and so its base layers, must have come. References wait for the
-renderer, which the processor decides; how many came in time is counted apart. Each client's link is a model on its own
-side: what has come over the socket counts, and is acknowledged, when the link would have delivered it.
+The server is a separate process and renders references for every client. The clients share another process. They use
+the real protocol over real sockets, send head poses and acknowledge everything, but neither decode nor draw. Each frame
+must be complete (its base layers and its ``frame_end``) when it is displayed. References depend on the processor of the
+renderer, so late ones are counted separately. The client simulates its link: data from the socket counts, and is
+acknowledged, when the link would have delivered it.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from cags_shaper.link import WEBSOCKET_OVERHEAD_BYTES, Link, LinkSettings, tcp_w
 
 CLIENT_FPS = 5.0
 START_DELAY_US = 1_000_000
-"""From the first frame's arrival to its display."""
+"""Time from the arrival of the first frame to its display."""
 
 POSE_INTERVAL_US = 28_000
 TIMEOUT_S = 60.0
 
 DELAY_US = 10_000
-"""One way, of a client's link."""
+"""One-way delay of a client's link."""
 
 
 def now_us() -> int:
@@ -47,10 +47,10 @@ def now_us() -> int:
 
 
 class HeadlessClient:
-    """One viewer of the whole clip at :data:`CLIENT_FPS`, for whom only arrivals count."""
+    """A viewer of the whole clip at :data:`CLIENT_FPS` that only records arrivals."""
 
     def __init__(self, transport: Transport, intrinsics: Intrinsics, poses: str, mbps: float | None = None) -> None:
-        """``mbps``: rate of the client's link; None: as fast as the socket."""
+        """``mbps``: rate of the client's link; None: unlimited."""
         self.ends: dict[int, int] = {}  # media frame -> arrival of its end
         self.references: dict[int, int] = {}
         self.started_us: int | None = None
@@ -63,7 +63,7 @@ class HeadlessClient:
         self._wake = asyncio.Event()
 
     async def watch(self) -> None:
-        """From the Hello to the display of the last frame."""
+        """Run from ``hello`` to the display of the last frame."""
         pose = open_poses(self._poses_spec, Focus((0.0, 0.0, 0.0), 1.0)).pose_at(0)
         hello = Hello(PROTOCOL_VERSION, self._intrinsics, pose, agent="cags-bench")
         self._session.hello(hello, now_us=now_us())
@@ -81,7 +81,7 @@ class HeadlessClient:
             await self._transport.close()
 
     def due_us(self, frame: int) -> int:
-        """When ``frame`` is displayed."""
+        """Display time of ``frame``."""
         assert self.started_us is not None
         return self.started_us + round(frame * 1e6 / CLIENT_FPS)
 
@@ -102,7 +102,7 @@ class HeadlessClient:
             await asyncio.wait_for(self._wake.wait(), wait_s)
 
     def _receive(self) -> None:
-        """Take what the link has delivered."""
+        """Receive what the link has delivered."""
         at_us = now_us()
         for data in self._link.pop_due(at_us):
             self._session.receive(data, now_us=at_us)
@@ -152,7 +152,7 @@ class HeadlessClient:
 
 
 def clients_line(base: Scenario, count: int, mbps: float | None = None) -> dict[str, Any]:
-    """``count`` clients at one server: frames whose data, and references, came after their display."""
+    """Play ``count`` clients at one server, and count frames and references that were late."""
     with tempfile.TemporaryDirectory(prefix="cags-network-") as folder, ProcessGroup(Path(folder)) as group:
         started = group.start(
             "cags_server",
@@ -183,14 +183,14 @@ def clients_line(base: Scenario, count: int, mbps: float | None = None) -> dict[
 
 
 def _processor_s(address: str) -> float:
-    """Processor time that a server has taken so far."""
+    """Processor time that the server has used so far."""
     with urllib.request.urlopen(f"http://{address}/metrics", timeout=TIMEOUT_S) as answer:
         lines = answer.read().decode().splitlines()
     return sum(float(line.split()[1]) for line in lines if line.startswith("process_cpu_seconds_total "))
 
 
 async def watch_all(url: str, intrinsics: Intrinsics, count: int, mbps: float | None = None) -> list[HeadlessClient]:
-    """``count`` clients watch the clip side by side, each on a walk of its own."""
+    """``count`` clients watch the clip at the same time, each on its own walk."""
     clients = []
     for number in range(count):
         transport = await websocket.connect(url, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_MESSAGE_BYTES)
@@ -207,5 +207,5 @@ def margins_us(client: HeadlessClient, arrived: dict[int, int], frames: int) -> 
 
 
 def missed(margins: list[list[int | None]]) -> int:
-    """Frames that came after their display, or never."""
+    """Number of frames that arrived after their display, or never."""
     return sum(margin is None or margin < 0 for each in margins for margin in each)

@@ -1,4 +1,4 @@
-"""``cags-bench network``: sending, content, crowds and soaks, in virtual and in real time."""
+"""``cags-bench network``: sending, content, many sessions and soak, in virtual and real time."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from cags_bench.sim.session import Scenario
 
 SUMMARY = (
-    "How the stream holds: utilisation, latency, other traffic, quality by trace and policy, many sessions, a soak."
+    "Measure the stream on networks: utilisation, latency, competing traffic, quality by trace and policy, many "
+    "sessions, a soak test."
 )
 
 EXAMPLES = """\
@@ -32,32 +33,34 @@ PARTS = ("sending", "sockets", "cross", "first", "content", "realtime", "clients
 
 @dataclass(frozen=True)
 class NetworkSettings:
-    """What is measured, and how long."""
+    """Which parts are run, and for how long."""
 
     parts: str = setting(",".join(PARTS), f"parts to run, of {', '.join(PARTS)}")
     scene: str = setting("procedural:size=10000,frames=60", "scene of the content, real-time and clients parts")
     like_splats: int = setting(
         170_000,
-        "scale the content part's links to the bits a splat of a scene of so many splats (the paper's); 0: not",
+        "scale the content part's links as if the scene had this many splats (the paper's number); 0: do not",
         low=0,
         high=100_000_000,
     )
-    first_scene: str = setting("procedural:size=160000,frames=6", "scene whose first picture is waited for")
-    lpips: str = setting("", "weights of LPIPS (.npz), by which the first picture is judged; empty: it is not")
-    workers: int = setting(0, "processes of the content and cross parts; 0: one a core", low=0, high=256)
+    first_scene: str = setting("procedural:size=160000,frames=6", "scene of the first part (time to the first picture)")
+    lpips: str = setting("", "weights of LPIPS (.npz) to score the first picture; empty: no LPIPS")
+    workers: int = setting(0, "processes of the content and cross parts; 0: one per core", low=0, high=256)
     frames: int = setting(210, "media frames to play", low=2, high=1_000_000)
     poses: str = setting("synthetic:walking", "head motion: a pose file or synthetic:NAME")
-    traces: str = setting("", "traces of the content part, comma separated; empty: all generated ones, and 10 Mbps")
+    traces: str = setting(
+        "", "traces of the content part, comma separated; empty: all generated ones and steady 10 Mbps"
+    )
     policies: str = setting("paper,utility,buffer", "rate policies of the content part, comma separated")
     estimator: str = setting("measured", "bandwidth estimator of the content part", choices=("measured", "oracle"))
-    restore: str = setting("correct", "what clients do with references: correct, none, or a restorer to compare with")
+    restore: str = setting("correct", "use of references: correct, none, or another restorer for comparison")
     width: int = setting(400, "client width in pixels", low=1, high=8192)
     height: int = setting(300, "client height in pixels", low=1, high=8192)
     delay_ms: float = setting(10.0, "one-way propagation delay, ms", low=0, high=1000)
-    seconds: float = setting(20.0, "virtual seconds of each sending and each cross case", low=5, high=3600)
-    seeds: int = setting(5, "plays of each cross case, whose figures are means with 95 % intervals", low=1, high=1000)
+    seconds: float = setting(20.0, "virtual seconds per case of the sending and cross parts", low=5, high=3600)
+    seeds: int = setting(5, "plays per cross case; results are means with 95 % intervals", low=1, high=1000)
     clients: int = setting(16, "headless clients at one server", low=1, high=1000)
-    clients_mbps: float = setting(3.0, "link of each headless client, Mbps; 0: the bare socket", low=0, high=1e4)
+    clients_mbps: float = setting(3.0, "link of each headless client, Mbps; 0: unlimited", low=0, high=1e4)
     sessions: int = setting(1000, "sessions of the crowd", low=1, high=100_000)
     soak_minutes: float = setting(10.0, "virtual minutes of the soak", low=0.1, high=100_000)
     cache: str = setting("", "folder of encoded bundles to reuse; empty: the user's cache folder")
@@ -70,13 +73,13 @@ class NetworkSettings:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of the command."""
+    """Add the command's flags."""
     add_settings(parser, NetworkSettings)
-    parser.add_argument("--plot", metavar="TRACE", help="draw a session's event trace into a PNG beside it, and end")
+    parser.add_argument("--plot", metavar="TRACE", help="plot a session's event trace into a PNG beside it, and exit")
 
 
 def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """Yield a line a case and the summary with its checks."""
+    """Yield one line per case, and the summary with its checks."""
     from cags_bench.jsonl import summary
     from cags_bench.network.checks import checks
 
@@ -150,7 +153,7 @@ def _first_pictures(settings: NetworkSettings) -> Iterator[dict[str, Any]]:
     from cags_encoder import EncodeSettings
 
     if settings.lpips:
-        Lpips(settings.lpips)  # a file that cannot be read is reported before minutes of encoding
+        Lpips(settings.lpips)  # report an unreadable file before minutes of encoding
     bundle = cached_bundle(settings.first_scene, settings.cache, EncodeSettings())
     yield from first_picture_lines(scenario(bundle, settings), SLOW)
 

@@ -1,4 +1,4 @@
-"""A scene over every trace under every rate policy, in virtual time, every frame scored."""
+"""Plays a scene over every trace under every rate policy, in virtual time, and scores every third frame."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ from cags_server.settings import ServerSettings
 from cags_shaper.trace import Trace, open_trace
 
 BLACK_SHARE = 0.1
-"""A picture that covers less than this share of what the clip's pictures usually cover is black."""
+"""A picture is black if its coverage is below this share of the clip's median."""
 
 SCORE_EVERY = 3
-"""Every so many-th frame is compared with the truth."""
+"""Every n-th frame is compared with the truth."""
 
 NONE_BUT_THE_FIRST = 1_000_000
-"""Frames from one that is compared with the truth to the next, where only the first picture is asked for."""
+"""Interval of compared frames if only the first picture matters."""
 
 FIRST_FIGURES = ("first_picture_ms", "first_psnr_restored_db", "first_lpips_restored")
 
 SPARE_S = 30.0
-"""Trace beyond the clip's length, for what starts late."""
+"""Length of the trace beyond the clip, for late starts."""
 
 
 STEADY_S = 3.0
-"""Nothing changes on a steady link: so much of the clip is enough there."""
+"""Length of plays on steady links, where nothing changes."""
 
 
 @dataclass(frozen=True)
 class Play:
-    """One play to be judged: a shipped trace, its rates times ``share``, and what is played over it."""
+    """One play: a shipped trace, its rates times ``share``, and a scenario for it."""
 
     trace: str
     policy: str
@@ -47,7 +47,7 @@ class Play:
     base: Scenario
 
     def scenario(self) -> Scenario:
-        """The whole of it."""
+        """The complete scenario."""
         reader = BundleReader.open(str(self.base.bundle))
         clip_s = reader.manifest.frames / reader.manifest.fps
         reader.close()
@@ -60,7 +60,7 @@ class Play:
         )
 
     def line(self) -> dict[str, Any]:
-        """Play it."""
+        """Play the scenario and return its figures."""
         scenario = self.scenario()
         figures = judge(simulate(scenario), open_trace(scenario.trace))
         return {"case": "content", "trace": self.trace, "share": self.share, "policy": self.policy, **figures}
@@ -69,10 +69,10 @@ class Play:
 def content_lines(
     traces: list[str], policies: list[str], base: Scenario, *, like_splats: int, workers: int
 ) -> Iterator[dict[str, Any]]:
-    """One line a trace and policy.
+    """One line per trace and policy.
 
-    The rates of a trace are scaled so that the scene gets the bits a splat and second that one of ``like_splats``
-    splats would get over the trace as it is; 0: not scaled.
+    Rates are scaled so that the scene gets as many bits per splat and second as a scene of ``like_splats`` splats over
+    the original trace; 0: no scaling.
     """
     share = link_share(base.bundle, like_splats)
     plays = [Play(trace, policy, share, base) for trace in traces for policy in policies]
@@ -80,9 +80,9 @@ def content_lines(
 
 
 def first_picture_lines(base: Scenario, traces: tuple[str, ...]) -> Iterator[dict[str, Any]]:
-    """One line a trace, which is not scaled: when the first picture of a scene of full size stands, and how good it is.
+    """One line per trace, unscaled: time to the first picture of a scene of full size, and its quality.
 
-    Its LPIPS is there where ``base`` names the weights.
+    LPIPS is included if ``base`` names its weights.
     """
     for spec in traces:
         summary = simulate(replace(base, trace=spec, score_every=NONE_BUT_THE_FIRST)).summary
@@ -91,7 +91,7 @@ def first_picture_lines(base: Scenario, traces: tuple[str, ...]) -> Iterator[dic
 
 
 def scenario(bundle: Path, settings: Any, trace: str = "") -> Scenario:
-    """What the command's settings describe."""
+    """The scenario described by the command's settings."""
     client = ClientSettings(width=settings.width, height=settings.height, restore=settings.restore)
     delay_us = round(settings.delay_ms * 1000)
     return Scenario(
@@ -134,18 +134,18 @@ def judge(result: SessionResult, trace: Trace) -> dict[str, Any]:
 
 
 def black_frames(records: list[dict[str, Any]]) -> int:
-    """Pictures in which next to nothing is drawn."""
+    """Number of pictures in which almost nothing is drawn."""
     usual = float(np.median([record["drawn_share"] for record in records])) if records else 0.0
     return sum(record["drawn_share"] < BLACK_SHARE * usual for record in records)
 
 
 def freezes(records: list[dict[str, Any]]) -> int:
-    """Times that a picture was missing its data after one that had it."""
+    """How often a picture without its data follows one with its data."""
     return sum(not before["missed"] and after["missed"] for before, after in pairwise(records))
 
 
 def recovery_ms(records: list[dict[str, Any]], trace: Trace) -> float | None:
-    """The longest time from the end of an outage to the next frame that misses nothing; None without an outage."""
+    """Longest time from the end of an outage to the next complete frame; None without an outage."""
     worst = None
     for end_us in outage_ends(trace, records[-1]["time_us"] if records else 0):
         good = next((r["time_us"] for r in records if r["time_us"] >= end_us and not r["missed"]), None)
@@ -155,7 +155,7 @@ def recovery_ms(records: list[dict[str, Any]], trace: Trace) -> float | None:
 
 
 def outage_ends(trace: Trace, until_us: int, least_us: int = 500_000) -> list[int]:
-    """Times at which the link delivers again after ``least_us`` of nothing."""
+    """Times at which the link delivers again after at least ``least_us`` without any delivery."""
     ends, number = [], 1
     last_us = 0
     while (next_us := trace.time_of(number)) <= until_us:

@@ -1,4 +1,4 @@
-"""Many sessions at once in one virtual clock: how long they take, and what each holds in memory."""
+"""Many sessions under one virtual clock: processing time and memory per session."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STEP_US = 100_000
 
 
 def crowd_line(sessions: int, duration_us: int, delay_us: int) -> dict[str, Any]:
-    """``sessions`` sessions of 5 frames a second, each over its own 2 Mbps, for ``duration_us`` of virtual time."""
+    """Run ``sessions`` sessions of 5 frames per second over 2 Mbps each for ``duration_us`` of virtual time."""
     trace = open_trace("generated:steady-2")
     before = resident_bytes()
     started = time.perf_counter()
@@ -41,7 +41,7 @@ def crowd_line(sessions: int, duration_us: int, delay_us: int) -> dict[str, Any]
 
 
 def resident_bytes() -> int:
-    """Memory that this process holds (Linux); 0 elsewhere."""
+    """Resident memory of this process in bytes (Linux); 0 elsewhere."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     except OSError:

@@ -1,7 +1,7 @@
-"""Sessions under load without content: the real sessions and link state between peers that only count bytes.
+"""Sessions under load without content: real sessions and link state between peers that only count bytes.
 
-The server plans at the frame rate what its link state allows, as tiles with a deadline and one reference picture; the
-client notes when each arrives. What is measured is the sending alone, and a thousand sessions fit in a minute.
+At the frame rate, the server plans as many bytes as its link state allows: tiles with a deadline and one reference. The
+client records their arrival. This measures sending alone, and a thousand sessions take less than a minute.
 """
 
 from __future__ import annotations
@@ -24,28 +24,28 @@ TILES_PER_FRAME = 10
 TILE_DEADLINE_US = 200_000
 REFERENCE_BYTES = 2_500
 POSE_INTERVAL_US = 28_000
-"""Head poses come at 36 Hz, as from a headset."""
+"""36 head poses per second, as from a headset."""
 
 ZEROS = bytes(4_000_000)
-"""Payload of everything that is sent: only its length counts."""
+"""Payload of all messages; only its length matters."""
 
 
 @dataclass
 class Arrivals:
-    """What came over a session. ``latency_us`` runs from the server's planning to the client's event."""
+    """What arrived over a session. ``latency_us`` is from the server's planning to the client's event."""
 
     tiles: list[tuple[int, int, int]] = field(default_factory=list)  # (arrived, latency, bytes)
     references: list[tuple[int, int]] = field(default_factory=list)  # (arrived, latency)
     estimates: list[tuple[int, float]] = field(default_factory=list)  # (time, bps)
-    kernel: list[tuple[int, float]] = field(default_factory=list)  # (time, bps): TCP's own delivery rate, if looked at
+    kernel: list[tuple[int, float]] = field(default_factory=list)  # (time, bps): TCP's own delivery rate, if available
     sent_bytes: int = 0
     dropped: int = 0
     wasted_bytes: int = 0
-    """Sent of messages that were dropped before their end."""
+    """Bytes sent of messages that were dropped before their end."""
 
 
 class LoadServer:
-    """Plans by the clock, sends by the session."""
+    """Plans at fixed times and sends through a session."""
 
     def __init__(
         self,
@@ -54,7 +54,7 @@ class LoadServer:
         fps: float,
         kernel_bps: Callable[[], float | None] = lambda: None,
     ) -> None:
-        """``kernel_bps`` is asked at every plan what the operating system takes the path to carry."""
+        """``kernel_bps`` returns the operating system's estimate of the path's rate; it is called at every plan."""
         self.session = ServerSession(now_us=0)
         self._kernel_bps = kernel_bps
         self._link_state, self._log, self._fps = link_state, log, fps
@@ -119,7 +119,7 @@ class LoadServer:
 
 
 class LoadClient:
-    """Joins, sends poses, notes arrivals. Frame numbers are the times at which the server planned."""
+    """Joins, sends poses and records arrivals. Frame numbers are the times at which the server planned."""
 
     def __init__(self, log: Arrivals) -> None:
         self.session = ClientSession(now_us=0)
@@ -155,7 +155,7 @@ class LoadClient:
 
 
 def load_world(trace: Trace, link_state: LinkState, settings: LinkSettings, fps: float = FPS) -> tuple[World, Arrivals]:
-    """A session over ``trace`` (towards the client; the other way has no rate limit), and what arrives over it."""
+    """A session over ``trace`` (the reverse direction is unlimited), and the record of its arrivals."""
     log = Arrivals()
     server, client = LoadServer(link_state, log, fps), LoadClient(log)
     down = Direction(Link(trace, settings), client.receive)
@@ -171,5 +171,5 @@ def run_load(trace: Trace, link_state: LinkState, duration_us: int, settings: Li
 
 
 def advance(world: World, until_us: int) -> None:
-    """Let a world run to a time."""
+    """Run a world until ``until_us``."""
     world.run(lambda: world.now_us >= until_us, until_us + 60_000_000)

@@ -1,4 +1,4 @@
-"""One client of the load as a process of its own: ``python -m cags_bench.network.load_client URL SECONDS``."""
+"""One client of the load in its own process: ``python -m cags_bench.network.load_client URL SECONDS``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cags_protocol.wire.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
 
 
 async def watch(url: str, duration_us: int) -> None:
-    """Join, take what comes and acknowledge it."""
+    """Join, receive and acknowledge."""
     start_ns = time.monotonic_ns()
     transport = await connect(url, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_MESSAGE_BYTES)
     await drive(LoadClient(Arrivals()), transport, lambda: (time.monotonic_ns() - start_ns) // 1000, duration_us)

@@ -1,4 +1,4 @@
-"""A picture of a session's event trace: rate, round trip, bytes in flight against credit, queue, drops."""
+"""Plot of a session's event trace: rate, round trip, bytes in flight against credit, queue, drops."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ BIN_US = 100_000
 
 
 def plot_session(path: Path) -> Path:
-    """Draw the trace ``path`` into a PNG beside it, and return that. Raises :class:`TraceError`."""
+    """Plot the trace ``path`` into a PNG beside it, and return the PNG's path. Raises :class:`TraceError`."""
     records = read_session(path)
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -48,7 +48,7 @@ def plot_session(path: Path) -> Path:
 
 
 def binned_mbps(acked: list[dict[str, Any]], start_us: int) -> tuple[list[float], list[float]]:
-    """Times (s) and rates (Mbps) of what was acknowledged in each :data:`BIN_US`."""
+    """Times (s) and rates (Mbps) of acknowledged bytes in bins of :data:`BIN_US`."""
     bins: dict[int, int] = {}
     for row in acked:
         index = (row["t_us"] - start_us) // BIN_US
@@ -57,7 +57,7 @@ def binned_mbps(acked: list[dict[str, Any]], start_us: int) -> tuple[list[float]
     return [i * BIN_US / 1e6 for i in range(count)], [bins.get(i, 0) * 8 / BIN_US for i in range(count)]
 
 
-_WAY_OUT = "cags-server --event-traces FOLDER writes them"
+_HINT = "cags-server --event-traces FOLDER writes them"
 
 
 def read_session(path: Path) -> list[dict[str, Any]]:
@@ -67,9 +67,9 @@ def read_session(path: Path) -> list[dict[str, Any]]:
         header, *records = [json.loads(line) for line in lines if line.endswith("\n")]
         known = header["trace"] == "cags-session"
     except OSError as error:
-        raise TraceError(f"{path}: cannot be read ({error.strerror}); {_WAY_OUT}") from error
+        raise TraceError(f"{path}: cannot be read ({error.strerror}); {_HINT}") from error
     except (ValueError, KeyError, TypeError) as error:
-        raise TraceError(f"{path}: is no event trace of a session; {_WAY_OUT}") from error
+        raise TraceError(f"{path}: is not an event trace of a session; {_HINT}") from error
     if not known or not records:
-        raise TraceError(f"{path}: is no event trace of a session, or holds no events; {_WAY_OUT}")
+        raise TraceError(f"{path}: is not an event trace of a session, or has no events; {_HINT}")
     return records

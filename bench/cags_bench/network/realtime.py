@@ -1,4 +1,4 @@
-"""The same play as three processes through the shaper, against its virtual twin."""
+"""The same play in real time, as three processes with the shaper, and in virtual time."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ TRACE_S = 60.0
 
 
 def realtime_lines(base: Scenario, like_splats: int, traces: tuple[str, ...] = TRACES) -> Iterator[dict[str, Any]]:
-    """One line a trace: bytes that arrived in real and in virtual time.
+    """One line per trace: bytes that arrived in real and in virtual time.
 
-    Links are scaled as those of the content part, so that they decide what is sent. Virtual time draws its pictures
-    without what references say, for nobody looks at them; both ask for the same references.
+    Links are scaled as in the content part, so that they limit what is sent. In virtual time, pictures are drawn
+    without references because they are not scored; both plays request the same references.
     """
     share = link_share(base.bundle, like_splats)
     base = replace(base, scored=False)

@@ -1,4 +1,4 @@
-"""Sending alone, over every trace: utilisation, latency, waste, and the estimator against the true link."""
+"""Sending alone, over every trace: utilisation, latency, waste, and the estimate compared with the true link."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ CLIPS = tuple(
     f"{spec}:start_s={INCIDENTS[name]}" if (name := spec.removeprefix("generated:")) in INCIDENTS else spec
     for spec in SHIPPED
 )
-"""The shipped traces, each from shortly before its fall or outage."""
+"""The shipped traces, each starting shortly before its fall or outage."""
 
 SLOW = ("generated:steady-2", "generated:steady-10")
-"""Links on which the first picture must still come soon."""
+"""Slow links on which the first picture must come soon."""
 
 SETTLE_US = 2_000_000
-"""Figures exclude the first two seconds of a session, and those after a fall."""
+"""Results exclude the first two seconds of a session, and the two seconds after a fall."""
 
 AHEAD_US = 300_000
-"""An estimate is compared with the link's mean capacity over this time ahead."""
+"""Estimates are compared with the link's mean capacity over this time ahead."""
 
 FALL_US = 8_000_000
 
@@ -47,7 +47,7 @@ def sending_lines(duration_us: int, delay_us: int) -> Iterator[dict[str, Any]]:
 
 
 def figures(log: Arrivals, trace: Trace, start_us: int, end_us: int) -> dict[str, Any]:
-    """Figures of a session between two times."""
+    """Results of a session between two times."""
     tiles = [(latency, size) for arrived, latency, size in log.tiles if start_us < arrived <= end_us]
     references = [latency for arrived, latency in log.references if start_us < arrived <= end_us]
     received = sum(size for _, size in tiles) + REFERENCE_BYTES * len(references)
@@ -66,7 +66,7 @@ def figures(log: Arrivals, trace: Trace, start_us: int, end_us: int) -> dict[str
 
 
 def estimate_error(estimates: list[tuple[int, float]], trace: Trace, start_us: int, end_us: int) -> float:
-    """Median of |estimate - capacity| / capacity where the link carries anything; estimates are (time, bps)."""
+    """Median of |estimate - capacity| / capacity over times with capacity; estimates are (time, bps)."""
     errors = []
     for now_us, estimate_bps in estimates:
         if start_us < now_us <= end_us:
@@ -77,5 +77,5 @@ def estimate_error(estimates: list[tuple[int, float]], trace: Trace, start_us: i
 
 
 def percentile(values_us: list[int], share: float) -> float:
-    """Percentile in milliseconds."""
+    """Percentile of times, in milliseconds."""
     return float(np.percentile(values_us, share)) / 1e3 if values_us else float("nan")

@@ -1,8 +1,8 @@
-"""A compressed soak: hours of a session's life in virtual time, with everything going wrong now and then.
+"""A compressed soak test: hours of a session in virtual time, with occasional faults of every kind.
 
-A viewer joins, watches, seeks, pauses, changes speed, loses its connection and comes back with what it holds, over a
-looping mobile trace whose messages are now and then damaged, doubled or swapped. Nothing may raise, grow without bound
-or end in any way but a clean one; and nothing that a returning viewer holds may be sent to it again.
+A viewer joins, watches, seeks, pauses, changes speed, loses its connection and returns with its inventory, over a
+looping mobile trace whose messages are occasionally damaged, duplicated or swapped. Nothing may raise or grow without
+bound, all sessions must end cleanly, and nothing in the inventory of a returning viewer may be sent again.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ POSE_US = 100_000
 
 @dataclass(frozen=True)
 class Faults:
-    """How often things go wrong, per message or per second."""
+    """Frequencies of faults, per message or per second."""
 
     damage: float = 2e-5
     double: float = 1e-3
@@ -44,7 +44,7 @@ class Faults:
 
 @dataclass
 class SoakResult:
-    """What a soak saw. ``max_`` are the largest values at any time."""
+    """Result of a soak test. ``max_`` fields are maxima over time."""
 
     endings: Counter[str] = field(default_factory=Counter)
     events: Counter[str] = field(default_factory=Counter)
@@ -52,9 +52,9 @@ class SoakResult:
     connections: int = 0
     resumed_tiles: int = 0
     sent_again: int = 0
-    """Layers sent although the viewer's inventory held them: must stay 0."""
+    """Layers sent although they were in the viewer's inventory; must be 0."""
     unsettled: int = 0
-    """Messages that ended neither delivered nor dropped: must stay 0."""
+    """Messages that were neither delivered nor dropped; must be 0."""
     messages: int = 0
     max_queued_bytes: int = 0
     max_in_flight_bytes: int = 0
@@ -66,14 +66,14 @@ class _Wire:
 
     def __init__(self, link: Link[tuple[int, bytes]], rng: random.Random, faults: Faults) -> None:
         self.link, self._rng, self._faults = link, rng, faults
-        self._held: tuple[int, bytes] | None = None  # waits to be overtaken by the next
+        self._held: tuple[int, bytes] | None = None  # held back until the next one overtakes it
 
     def push(self, connection: int, data: bytes, now_us: int) -> None:
         """Send a message."""
         self.link.push(now_us, (connection, data), tcp_wire_bytes(len(data)))
 
     def pop(self, connection: int, now_us: int) -> list[bytes]:
-        """What arrives on a connection now, faults included; what belongs to another one is gone."""
+        """Messages that arrive on a connection now, with faults; those of other connections are lost."""
         out: list[bytes] = []
         for item in self.link.pop_due(now_us):
             batch = [item]
@@ -99,7 +99,7 @@ class _Soak:
         settings = LinkSettings(delay_us=20_000)
         self.down = _Wire(Link(trace, settings), self.rng, faults)
         self.up = _Wire(Link(None, settings), self.rng, faults)
-        self.store: dict[tuple[int, int], int] = {}  # the viewer's: (frame, tile) -> LoDs
+        self.store: dict[tuple[int, int], int] = {}  # of the viewer: (frame, tile) -> LoDs
         self._connect()
 
     def run(self, duration_us: int) -> SoakResult:
@@ -117,7 +117,7 @@ class _Soak:
         self.server, self.client = ServerSession(now_us=self.now_us), ClientSession(now_us=self.now_us)
         self.link_state = MeasuredLink()
         self.queued = 0
-        self.known: dict[tuple[int, int], int] = {}  # the server's idea of the store
+        self.known: dict[tuple[int, int], int] = {}  # the store as known to the server
         self.frame, self.playing, self.reference = self.rng.randrange(FRAMES), True, 0
         self.frame_us = self.pose_us = self.now_us
         inventory = pack_inventory(InventoryEntry(f, t, lods) for (f, t), lods in self.store.items())
@@ -202,9 +202,9 @@ class _Soak:
         while (event := self.server.next_event()) is not None:
             self.result.events[type(event).__name__] += 1
             self._on_server(event)
-        while (told := self.client.next_event()) is not None:
-            self.result.events[type(told).__name__] += 1
-            self._on_client(told)
+        while (client_event := self.client.next_event()) is not None:
+            self.result.events[type(client_event).__name__] += 1
+            self._on_client(client_event)
 
     def _on_server(self, event: ev.ServerEvent) -> None:
         match event:

@@ -1,6 +1,6 @@
-"""The load of :mod:`cags_bench.network.load` over real WebSockets through a real shaper, against its virtual twin.
+"""The load of :mod:`cags_bench.network.load` over real WebSockets and a real shaper, compared with virtual time.
 
-No scene is rendered, so what differs is the transport alone: kernel buffers, the event loop, the proxy.
+No scene is rendered, so only the transport differs: kernel buffers, the event loop, the proxy.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ TRACES = ("generated:steady-30", "generated:lte-driving", "generated:sawtooth")
 FALL = "20 to 1.5 Mbps"
 
 JOIN_US = 60_000_000
-"""Longest start of a client's process."""
+"""Longest start-up time of a client process."""
 
 QUEUE_BYTES = 150_000
-"""Of a link of packets; beyond it they are lost, as anywhere."""
+"""Queue of a packet link; packets beyond it are lost."""
 
 
 def socket_lines(duration_us: int, delay_us: int) -> Iterator[dict[str, Any]]:
-    """One line a trace, and one of a fall from 20 to 1.5 Mbps."""
+    """One line per trace, and one for a fall from 20 to 1.5 Mbps."""
     with tempfile.TemporaryDirectory(prefix="cags-network-") as folder:
         fall = Path(folder) / "fall.csv"
         seconds = FALL_US / 1e6
@@ -67,14 +67,14 @@ def _compare(name: str, spec: str, duration_us: int, start_us: int, delay_us: in
 
 
 def kernel_bps(transport: ServerWebSocket) -> float | None:
-    """TCP's own delivery rate; None before it has measured one, and where there is none."""
+    """TCP's own delivery rate; None if it is unknown or not yet measured."""
     info = transport.tcp_info()
     return info.delivery_rate_bps if info is not None and info.delivery_rate_bps > 0 else None
 
 
 @contextlib.asynccontextmanager
 async def serving(host: str, log: Arrivals, clock: Callable[[], int], duration_us: int) -> AsyncIterator[int]:
-    """The load's server; yields its port."""
+    """Run the load's server; yields its port."""
     from aiohttp import web
 
     async def stream(request: web.Request) -> web.StreamResponse:
@@ -97,7 +97,7 @@ async def serving(host: str, log: Arrivals, clock: Callable[[], int], duration_u
 
 
 async def run_sockets(spec: str, duration_us: int, delay_us: int) -> Arrivals:
-    """One session in real time; the shaper is a process of its own."""
+    """One session in real time, with the shaper in its own process."""
     log = Arrivals()
     start_ns = time.monotonic_ns()
 
@@ -118,9 +118,9 @@ async def run_sockets(spec: str, duration_us: int, delay_us: int) -> Arrivals:
 
 
 def direct_lines(duration_us: int, delay_us: int) -> Iterator[dict[str, Any]]:
-    """One line a trace: what acknowledgements and what TCP itself say of a path without a proxy.
+    """One line per trace: estimates from acknowledgements and from TCP itself, over a path without a proxy.
 
-    The link carries packets (TUN devices: Linux, root), so that the connection is one from end to end.
+    The link carries packets (TUN devices: Linux, root), so the connection is end to end.
     """
     reason = why_unavailable()
     if reason is not None:
@@ -139,9 +139,9 @@ def direct_lines(duration_us: int, delay_us: int) -> Iterator[dict[str, Any]]:
 
 
 async def run_direct(trace: Trace, duration_us: int, delay_us: int) -> Arrivals:
-    """One session whose client is behind a link of packets, for ``duration_us`` of the client's; the server's view.
+    """One session of ``duration_us`` with the client behind a packet link; returns the server's record.
 
-    The client ends it, so that its own start takes nothing from the session.
+    The client ends the session, so its start-up time does not shorten it.
     """
     log, names = Arrivals(), TunNames(os.getpid())
     start_ns = time.monotonic_ns()
@@ -157,7 +157,7 @@ async def run_direct(trace: Trace, duration_us: int, delay_us: int) -> Arrivals:
 
 
 async def drive(peer: Peer, transport: Transport, clock: Any, until_us: int) -> None:
-    """Move a peer's bytes until a time or the end of the connection."""
+    """Transfer a peer's messages until ``until_us`` or the end of the connection."""
     wake = asyncio.Event()
 
     async def read() -> None:

@@ -1,1 +1,1 @@
-"""How well is the viewer predicted, and how wide must the reference be? ``cags-bench predict``."""
+"""``cags-bench predict``: accuracy of pose prediction, and the width of references that it requires."""

@@ -1,4 +1,4 @@
-"""The yardstick: one pooled autoregression for all axes, applied step by step."""
+"""Baseline predictor: one pooled autoregression for all axes, applied step by step."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from cags_server.predict.base import PoseDistribution
 from cags_server.predict.history import PoseHistory
 from cags_server.predict.tangent import Weights, backtest, displacement, distribution, increments, steps_of
 
-# Ridge (1e-3 of the mean energy) on 33 ms increments of EyeNavGS people 01-08, newest increment first, one vector for
-# the three axes of rotation and one for those of position.
+# Ridge regression (1e-3 of the mean energy) on 33 ms increments of EyeNavGS people 01-08, newest increment first: one
+# vector for the three axes of rotation, one for those of position.
 ROTATION = (1.1063, -0.1234, -0.0499, -0.0122, 0.0251, 0.0010, 0.0090, -0.0013, -0.0038, -0.0040)
 POSITION = (0.7880, 0.2918, 0.0574, -0.0609, 0.0182, -0.0855, -0.0033, 0.0153, -0.0375, -0.0194)
 
 
 class PooledAr10:
-    """AR(10) by recursion over the horizon."""
+    """AR(10), applied recursively over the horizon."""
 
     def predict(self, history: PoseHistory, horizon_us: int) -> PoseDistribution:
         """See :class:`~cags_server.predict.base.Predictor`."""
@@ -25,7 +25,7 @@ class PooledAr10:
 
 
 def _over_horizon(coefficients: tuple[float, ...], steps: float) -> np.ndarray:
-    """[10] weights of the displacement over ``steps`` grid steps; a fraction of a step counts in part."""
+    """[10] weights of the displacement over ``steps`` grid steps; the last step may be fractional."""
     order = len(coefficients)
     state, total, remaining = np.eye(order), np.zeros(order), steps
     while remaining > 0:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from cags_common.poses.walks import Walk
 
-SUMMARY = "Precision of pose prediction, and coverage of the reference's field of view, on recorded walks."
+SUMMARY = "Measure the accuracy of pose prediction and the coverage of the reference's field of view on recorded walks."
 
 EXAMPLES = """\
   cags-bench predict --poses poses/ --json
@@ -22,24 +22,36 @@ AREAS = (1.2, 1.3, 1.4, 1.5, 1.6, 1.75)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of the subcommand."""
+    """Add the command's flags."""
     parser.add_argument("--poses", required=True, metavar="DIR", help="folder of SCENE_userNN.csv walks")
-    parser.add_argument("--horizons-ms", default="33,100,200,300,500", metavar="N,..", help="horizons")
-    parser.add_argument("--every-ms", type=int, default=500, metavar="N", help="time between two predictions")
+    parser.add_argument(
+        "--horizons-ms", default="33,100,200,300,500", metavar="N,..", help="prediction horizons in milliseconds"
+    )
+    parser.add_argument(
+        "--every-ms", type=int, default=500, metavar="N", help="time between predictions in milliseconds"
+    )
     parser.add_argument(
         "--people",
         choices=("held-out", "all"),
         default="held-out",
-        help="only people whose walks no shipped weights were fitted on, or also the others, apart",
+        help="held-out: only people not used to fit the shipped weights; all: also the others, separately",
     )
-    parser.add_argument("--seconds", type=float, default=20.0, metavar="X", help="of each walk for the policies")
-    parser.add_argument("--bundle", action="append", default=[], metavar="DIR", help="stream it with every choice")
+    parser.add_argument(
+        "--seconds", type=float, default=20.0, metavar="X", help="seconds of each walk for the field-of-view policies"
+    )
+    parser.add_argument(
+        "--bundle",
+        action="append",
+        default=[],
+        metavar="DIR",
+        help="also stream this bundle with every predictor and policy",
+    )
     parser.add_argument("--trace", default="generated:steady-8", metavar="TRACE", help="link of the streams")
-    parser.add_argument("--frames", type=int, default=30, metavar="N", help="frames to stream of each bundle")
+    parser.add_argument("--frames", type=int, default=30, metavar="N", help="frames of each bundle to stream")
 
 
 def run(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """One line per predictor and horizon, per policy and per scene; the targets last."""
+    """One line per predictor and horizon, per policy and per scene; the summary last."""
     from cags_bench.jsonl import provenance, summary
     from cags_common.poses.walks import read_walks
 
@@ -59,7 +71,7 @@ def run(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
 
 
 def split(walks: Sequence[Walk]) -> tuple[list[Walk], list[Walk]]:
-    """Walks of people that no shipped weights were fitted on, and the others."""
+    """Walks of people whose data no shipped weights were fitted on, and the other walks."""
     from cags_server.fov.lstm import LstmWeights
     from cags_server.predict.pooled import PooledWeights
 
@@ -79,7 +91,7 @@ def _precision(args: argparse.Namespace, walks: Sequence[Walk]) -> Iterator[dict
     try:
         horizons = [int(part) * 1000 for part in args.horizons_ms.split(",")]
     except ValueError as error:
-        raise ConfigError(f"horizons-ms = {args.horizons_ms!r} must be whole numbers, such as 100,200") from error
+        raise ConfigError(f"horizons-ms = {args.horizons_ms!r} must be whole numbers, like 100,200") from error
     if not horizons or min(horizons) < 0 or max(horizons) > 1_000_000 or args.every_ms < 1:
         raise ConfigError(f"horizons-ms = {args.horizons_ms} must lie in [0, 1000] and every-ms above 0")
     predictors = {"pooled-ar10": PooledAr10(), **{name: create_predictor(name) for name in PREDICTORS.names()}}
@@ -95,15 +107,15 @@ def _coverage(args: argparse.Namespace, walks: Sequence[Walk]) -> Iterator[dict[
     make = {name: (lambda name=name: create_fov_policy(name)) for name in FOV_POLICIES.names()}
     for name, curve in measure(walks, create_predictor("autoregressive"), make, LEAD_US, args.seconds).items():
         yield {"case": "fov", "policy": name, "lead_ms": LEAD_US // 1000, **curve.figures(AREAS)}
-    some = walks[:: max(1, len(walks) // 4)]
+    sample = walks[:: max(1, len(walks) // 4)]
     yield {
         "case": "fov-truth",
-        **fast_against_exact(some, create_predictor("autoregressive"), LEAD_US, 4_000_000),
+        **fast_against_exact(sample, create_predictor("autoregressive"), LEAD_US, 4_000_000),
     }
 
 
 def _table(walks: Sequence[Walk]) -> Iterator[dict[str, Any]]:
-    """The supplement's precision table: a row a scene."""
+    """The supplement's accuracy table, one row per scene."""
     from cags_bench.predict.coverage import measure as measure_coverage
     from cags_bench.predict.precision import measure
     from cags_server.fov import create_fov_policy
@@ -112,11 +124,11 @@ def _table(walks: Sequence[Walk]) -> Iterator[dict[str, Any]]:
 
     defaults = ServerSettings()
     for scene in sorted({walk.name.rsplit("_user", 1)[0] for walk in walks}):
-        here = [walk for walk in walks if walk.name.startswith(scene)]
+        scene_walks = [walk for walk in walks if walk.name.startswith(scene)]
         predictor = create_predictor(defaults.predictor)
-        (_, _, errors), *_ = measure(here, {"default": predictor}, [LEAD_US], 1_000_000)
+        (_, _, errors), *_ = measure(scene_walks, {"default": predictor}, [LEAD_US], 1_000_000)
         policy = {"default": lambda: create_fov_policy(defaults.fov)}
-        curve = measure_coverage(here, predictor, policy, LEAD_US, 8.0)["default"].figures(AREAS)
+        curve = measure_coverage(scene_walks, predictor, policy, LEAD_US, 8.0)["default"].figures(AREAS)
         yield {
             "case": "table",
             "dataset": scene,
@@ -128,19 +140,19 @@ def _table(walks: Sequence[Walk]) -> Iterator[dict[str, Any]]:
 
 
 def checks(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The targets, on held-out people."""
+    """Targets, for held-out people."""
     from cags_bench.jsonl import check
 
-    mine = [line for line in lines if line.get("people") == "held-out"]
+    held_out = [line for line in lines if line.get("people") == "held-out"]
     found: list[dict[str, Any]] = []
-    at_200 = {line["predictor"]: line for line in mine if line["case"] == "predictor" and line["horizon_ms"] == 200}
+    at_200 = {line["predictor"]: line for line in held_out if line["case"] == "predictor" and line["horizon_ms"] == 200}
     if "pooled-ar10" in at_200:
         base = at_200.pop("pooled-ar10")
         best = min(at_200.values(), key=lambda line: line["angular_mean_deg"])
         for figure in ("angular_mean_deg", "angular_p95_deg"):
             target, value = f"below pooled AR(10): {base[figure]:.3f}", best[figure]
             found.append(check(f"{best['predictor']} {figure} at 200 ms", target, value, value < base[figure]))
-    policies = {line["policy"]: line for line in mine if line["case"] == "fov"}
+    policies = {line["policy"]: line for line in held_out if line["case"] == "fov"}
     if policies:
         at_equal_area = {name: line["coverage_at_area_pct"]["1.5"] for name, line in policies.items()}
         best_policy = max(at_equal_area, key=lambda name: at_equal_area[name])

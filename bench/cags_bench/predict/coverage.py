@@ -1,7 +1,7 @@
-"""Coverage of field-of-view policies against the area they ask for, along recorded walks.
+"""Coverage of field-of-view policies over the requested area, along recorded walks.
 
-A reference of ``gain`` times a policy's margins covers so much of the client's view and is so much larger; sweeping the
-gain gives each policy's curve, and policies are compared where their areas are equal.
+A reference with ``gain`` times a policy's margins covers a share of the client's view and is correspondingly larger.
+Sweeping the gain gives a curve for each policy; policies are compared at equal area.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from cags_server.fov.truth import NEAREST, exact_margins, fast_margins, in_refer
 from cags_server.predict import PoseHistory, Predictor
 
 CLIENT = Intrinsics.of_fov(1600, 1200, 1.48, 1.20)
-"""The paper's client."""
+"""Client view of the paper."""
 
 PERIOD_US = 33_333
 GAINS = tuple(np.concatenate([[0.0], np.geomspace(0.2, 8.0, 40)]).tolist())
@@ -34,15 +34,15 @@ RAYS = view_rays(CLIENT, 25, 19)
 
 @dataclass
 class Curve:
-    """One policy: margins, coverage and area by gain, summed over frames."""
+    """One policy: coverage and area by gain, summed over frames."""
 
     frames: int = 0
-    covered: list[F64] = field(default_factory=list)  # [G] shares, a frame
+    covered: list[F64] = field(default_factory=list)  # [G] shares of each frame
     area: F64 = field(default_factory=lambda: np.zeros(len(GAINS)))
     seconds: list[float] = field(default_factory=list)
 
     def add(self, points: F64, margins: tuple[float, float]) -> None:
-        """A frame whose seen ``points`` [R, 3] lie so in the reference camera's axes."""
+        """Add a frame whose visible ``points`` [R, 3] are given in the reference camera's axes."""
         limits = np.array([_half_widths(margins, gain) for gain in GAINS])  # [G, 2] on the plane z = 1
         front = points[:, 2] > NEAREST
         flat = np.abs(points[:, :2] / np.where(front, points[:, 2], 1.0)[:, None])
@@ -53,7 +53,9 @@ class Curve:
         self.area += limits.prod(axis=1) / plain.prod()
 
     def figures(self, areas: Sequence[float]) -> dict[str, Any]:
-        """Coverage (%) as it is and at equal areas (mean, worst twentieth), and the least area that covers 98 %."""
+        """Coverage (%) with the own margins and at equal areas (mean, worst 5 %), and the smallest area that covers 98
+        %.
+        """
         shares = 100 * np.array(self.covered)
         covered, low, area = shares.mean(axis=0), np.percentile(shares, 5, axis=0), self.area / self.frames
         return {
@@ -83,7 +85,7 @@ class _Flight:
 def measure(
     walks: Sequence[Walk], predictor: Predictor, make: Mapping[str, Any], lead_us: int, seconds: float
 ) -> dict[str, Curve]:
-    """Curves of the policies that ``make`` (name -> factory) makes, for a server that plans ``lead_us`` ahead."""
+    """Curves of the policies in ``make`` (name -> factory), for a server that plans ``lead_us`` ahead."""
     curves = {name: Curve() for name in make}
     for walk in walks:
         policies: dict[str, FovPolicy] = {name: factory() for name, factory in make.items()}
@@ -126,7 +128,7 @@ def _along(
 
 
 def fast_against_exact(walks: Sequence[Walk], predictor: Predictor, lead_us: int, every_us: int) -> dict[str, Any]:
-    """Mean difference of the fast margins from the exact ones, by depth of the corners, and both times."""
+    """Mean difference between fast and exact margins by depth of the corners, and the time of both."""
     differences: dict[str, list[float]] = {"2": [], "10": []}
     times: dict[str, list[float]] = {"exact": [], "fast": []}
     for walk in walks:

@@ -1,4 +1,4 @@
-"""What predictors and field-of-view policies are worth in the picture: whole sessions in virtual time."""
+"""Effect of predictors and field-of-view policies on the picture: whole sessions in virtual time."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def stream_all(bundles: Sequence[str], walk: Walk, trace: str, frames: int) -> I
     choices += [(defaults.predictor, name) for name in FOV_POLICIES if name != defaults.fov]
     with tempfile.TemporaryDirectory() as folder:
         poses = Path(folder) / f"{walk.name}.csv"
-        # The stream begins in the middle of the walk: people start out standing.
+        # The stream begins in the middle of the walk because people stand still at the start.
         write_poses(walk.trace.window(walk.trace.duration_us // 3, walk.trace.duration_us), poses)
         for bundle in bundles:
             for predictor, fov in choices:

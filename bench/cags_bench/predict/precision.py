@@ -16,7 +16,7 @@ from cags_protocol.wire.messages import PoseSample
 from cags_server.predict import PoseHistory, Predictor
 
 WARM_UP_US = 2_000_000
-"""Walks are judged from here on, so that every predictor has a history."""
+"""Start of the evaluation of each walk, so that every predictor has a history."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class Errors:
     seconds: np.ndarray
 
     def figures(self) -> dict[str, Any]:
-        """Mean, 95th percentile, calibration, time."""
+        """Mean, 95th percentile, calibration and time."""
         return {
             "predictions": len(self.angles_deg),
             "angular_mean_deg": float(self.angles_deg.mean()),
@@ -46,7 +46,7 @@ class Errors:
 def measure(
     walks: Sequence[Walk], predictors: Mapping[str, Predictor], horizons_us: Sequence[int], every_us: int
 ) -> Iterator[tuple[str, int, Errors]]:
-    """(predictor, horizon, errors) over all ``walks``, predicting every ``every_us`` from the samples as recorded."""
+    """(predictor, horizon, errors) over all ``walks``, predicting every ``every_us`` from recorded samples."""
     rows: dict[tuple[str, int], list[tuple[float, float, float, float]]] = {
         (name, horizon): [] for name in predictors for horizon in horizons_us
     }

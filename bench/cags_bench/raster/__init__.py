@@ -1,1 +1,1 @@
-"""``cags-bench raster``: speed and exactness of the rasteriser."""
+"""``cags-bench raster``: speed and accuracy of the rasteriser."""

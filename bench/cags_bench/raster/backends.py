@@ -1,4 +1,4 @@
-"""``cags-bench raster --backends cpu gpu``: each backend against the definition, the correction, and a frame's work."""
+"""``cags-bench raster --backends cpu gpu``: backends against the definition, corrections, and the work of a frame."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ from cags_gpu.work import (
 
 LEAST_PSNR_DB = 100.0
 LEAST_SHARE = 0.9999
-"""Of a corrected frame's pixels within one level of 255 of the definition's, and of the CPU's."""
+"""Least share of a corrected frame's pixels within one level of 255 of the definition's, and of the CPU's."""
 
 WORK_SIZE, WORK_SPLATS = (1600, 1200), 150_000
 REFERENCE_SIZE = (400, 300)
 STEP_RADII = 0.1
-"""How far the reference camera stands from the client's, in radii of the focus."""
+"""Distance between the reference camera and the client's, in radii of the focus."""
 
 PICTURE_ERROR = 1e-4
-"""Mean square that coding is said to have left in a picture: 40 dB."""
+"""Mean squared coding error declared for a picture: 40 dB."""
 
 EXACT = RenderOptions(exactness=Exactness.EXACT)
 
@@ -54,9 +54,9 @@ Line = dict[str, Any]
 
 
 def measure_backends(settings: RasterSettings, backends: Sequence[str]) -> Iterator[Line]:
-    """One line a scene, size and backend; corrections and work where ``gpu`` is among them; then the summary.
+    """One line per scene, size and backend; with ``gpu`` also corrections and work; then the summary.
 
-    Raises :class:`~cags_common.errors.ConfigError` where a backend cannot run here.
+    Raises :class:`~cags_common.errors.ConfigError` if a backend cannot run on this machine.
     """
     rasterisers = {name: create(name) for name in backends}
     lines: list[Line] = []
@@ -76,7 +76,7 @@ def measure_backends(settings: RasterSettings, backends: Sequence[str]) -> Itera
 
 
 def _like_the_work(specs: Sequence[str]) -> str:
-    """The scene whose number of splats is nearest to what work is counted for, if it is half as many at least."""
+    """The scene with a size near :data:`WORK_SPLATS`, within a factor of two; otherwise a generated one."""
     sizes = {spec: len(open_scene(spec).frame(0)) for spec in specs}
     best = min(sizes, key=lambda spec: abs(sizes[spec] - WORK_SPLATS))
     near = WORK_SPLATS / 2 <= sizes[best] <= 2 * WORK_SPLATS
@@ -110,7 +110,7 @@ def _drawing(scene: RasterScene, camera: Camera, options: RenderOptions) -> Any:
 
 
 def errors_against(ours: RenderedView, right: RenderedView) -> Line:
-    """PSNR (peak 1), and errors as shares of the brightest colour: 99 % of the pixels, and the worst."""
+    """PSNR (peak 1), and errors relative to the brightest colour: 99th percentile and maximum over pixels."""
     error = np.abs(ours.rgb.astype(np.float64) - right.rgb)
     share = error.max(axis=2) / max(1.0, float(right.rgb.max()))
     return {
@@ -122,8 +122,9 @@ def errors_against(ours: RenderedView, right: RenderedView) -> Line:
 
 
 def correction_lines(source: FrameSource, splats: Splats, camera: Camera, scene: GpuScene) -> Iterator[Line]:
-    """For a difference and a picture, seen a step aside: shares of the pixels of a client's frame, made on the device,
-    that are within a level of 255 of the definition's, and of the one that the CPU makes step by step.
+    """Accuracy of corrected frames from the device, for a difference and a picture from a camera to the side.
+
+    Shares of pixels within a level of 255 of the definition's frame, and of the CPU's.
     """
     native = create("auto").load(splats)
     view = native.render(camera, EXACT)
@@ -136,7 +137,7 @@ def correction_lines(source: FrameSource, splats: Splats, camera: Camera, scene:
         ours = scene.frame(camera, EXACT, given)
         taken = (time.perf_counter() - start) * 1e3
         if ours is None:
-            raise RuntimeError("the device was lost while a frame was made; run the command again")
+            raise RuntimeError("the device was lost during a frame; run the command again")
         yield {
             "kind": kind,
             "share_within_a_level": _share_within_a_level(ours.rgb, right.rgb),
@@ -146,14 +147,14 @@ def correction_lines(source: FrameSource, splats: Splats, camera: Camera, scene:
         }
 
 
-def _references(truth: RasterScene, there: Camera) -> dict[str, Reference]:
-    """What a client without a third of the light lacks, and a picture with a third more of it."""
-    seen = truth.render(there, EXACT).rgb
+def _references(truth: RasterScene, reference_camera: Camera) -> dict[str, Reference]:
+    """Test references: the difference to a client that lacks 30 % of the light, and a picture with 30 % more light."""
+    seen = truth.render(reference_camera, EXACT).rgb
     lack = np.clip(seen, 0, 1) * np.float32(0.3)
     brighter = np.clip(seen * np.float32(1.3), 0, 1)
     return {
-        "difference": Reference(compand(lack, 0.1).astype(np.float32), there),
-        "picture": Reference(brighter, there, picture=True, error=PICTURE_ERROR),
+        "difference": Reference(compand(lack, 0.1).astype(np.float32), reference_camera),
+        "picture": Reference(brighter, reference_camera, picture=True, error=PICTURE_ERROR),
     }
 
 
@@ -162,7 +163,7 @@ def _share_within_a_level(a: F32, b: F32) -> float:
 
 
 def _aside(source: FrameSource, camera: Camera) -> Camera:
-    """The server's camera: coarser, wider, and a step to the side."""
+    """The server's camera: lower resolution, wider, and a step to the side."""
     focus, position = source.focus, np.asarray(camera.pose.position)
     aside = position + STEP_RADII * focus.radius * camera.pose.rotation_matrix[:, 0]
     eye = float(aside[0]), float(aside[1]), float(aside[2])
@@ -174,20 +175,22 @@ def _aside(source: FrameSource, camera: Camera) -> Camera:
 
 
 def counted(spec: str, size: tuple[int, int]) -> tuple[str, FrameCounts]:
-    """A scene's name, and what its view of that size is made of; nothing is blended for it."""
+    """A scene's name, and the counts of its view at this size, without blending it."""
     source = open_scene(spec)
     camera = view_of(source, *size)
     scene = create("gpu").load(source.frame(0))
     assert isinstance(scene, GpuScene)
-    there = replace(camera, intrinsics=camera.intrinsics.resized(*REFERENCE_SIZE))
-    counts = scene.on_device(lambda resident: frame_counts(resident, camera, RenderOptions(), there), lambda _: None)
+    reference_camera = replace(camera, intrinsics=camera.intrinsics.resized(*REFERENCE_SIZE))
+    counts = scene.on_device(
+        lambda resident: frame_counts(resident, camera, RenderOptions(), reference_camera), lambda _: None
+    )
     if counts is None:
-        raise RuntimeError("the device was lost while a frame was counted; run the command again")
+        raise RuntimeError("the device was lost during a frame; run the command again")
     return source.name, counts
 
 
 def work_lines(spec: str, size: tuple[int, int] = WORK_SIZE) -> Iterator[Line]:
-    """Entries, visits, bytes a pass and estimates for 150,000 splats, before and after each improvement."""
+    """Entries, visits, bytes per pass and estimates for 150,000 splats, before and after each improvement."""
     name, counts = counted(spec, size)
     scaled = counts.scaled(WORK_SPLATS)
     made_of = {"scene": name, "size": size_text(size), "counted_splats": counts.splats, "splats": WORK_SPLATS}

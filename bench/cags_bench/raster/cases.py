@@ -1,4 +1,4 @@
-"""The cases of ``cags-bench raster``: scenes, sizes, threads and levels; growth; the machine's limit."""
+"""The cases of ``cags-bench raster``: scenes, sizes, threads and levels; growth; the limit of the machine."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ VIEW_RADII = 2.0
 GROWTH = (50_000, 100_000, 200_000, 400_000, 800_000)
 
 REFERENCE_SIZE = (400, 300)
-"""Pixels of the frame that a server draws for each client."""
+"""Size of the frame that a server draws for each client."""
 
 LEAST_TIMES_FASTER = 50.0
-"""Than any peer."""
+"""Required speed-up over any peer."""
 
 MULTIPLY_ADDS_A_PAIR = 13.0
-"""Multiplier operations that blending takes for a pixel of a splat: 1.5 for s (half a block's rows share one), 1 for t,
-2 for the exponent, 3 for exp2, 1 for the weight, 4 for the sums of colour and depth, and half of one for the rest."""
+"""Multiplier operations to blend one splat at one pixel: 1.5 for s (shared by half the rows of a block), 1 for t, 2 for
+the exponent, 3 for exp2, 1 for the weight, 4 for the sums of colour and depth, and 0.5 for the rest."""
 
 Line = dict[str, Any]
 
 
 def measure(settings: RasterSettings) -> Iterator[Line]:
-    """All lines of the benchmark."""
+    """Yield all lines of the benchmark."""
     ratios: list[float] = []
     peer_ratios: list[float] = []
     upkeep: list[Line] = []
@@ -65,7 +65,7 @@ def measure(settings: RasterSettings) -> Iterator[Line]:
                 view: Line = {"scene": source.name, "splats": len(splats), "threads": threads, "size": size_text(size)}
                 lines = list(_case_lines(view, contenders, times, errors))
                 if prototype:
-                    ratios.append(lines[0]["ratio_to_prototype"])  # of the first contender, balanced
+                    ratios.append(lines[0]["ratio_to_prototype"])  # of the first contender, "balanced"
                 yield from lines
             times = interleaved([c.frame(camera, max(settings.thread_list)) for c in [contenders[0], *peers]], settings)
             for peer, taken in zip(peers, times[1:], strict=True):
@@ -87,7 +87,7 @@ def measure(settings: RasterSettings) -> Iterator[Line]:
 
 
 def view_of(source: FrameSource, width: int, height: int) -> Camera:
-    """A camera beside and a little above the scene's focus, looking at it."""
+    """A camera beside and slightly above the scene's focus, looking at it."""
     focus, up = source.focus, np.asarray(source.up, np.float64)
     side = np.cross(up, (0.31, 0.17, 0.93))
     direction = side / np.linalg.norm(side) + 0.35 * up
@@ -98,7 +98,7 @@ def view_of(source: FrameSource, width: int, height: int) -> Camera:
 
 
 def interleaved(frames: list[Frame], settings: RasterSettings) -> list[list[float]]:
-    """Milliseconds of each frame function, taken in turns so that all meet the same machine."""
+    """Milliseconds of each frame function. The functions take turns, so that all run under the same load."""
     times: list[list[float]] = [[] for _ in frames]
     for turn in range(settings.warm_up + settings.repetitions):
         for taken, frame in zip(times, frames, strict=True):
@@ -115,7 +115,7 @@ def size_text(size: tuple[int, int]) -> str:
 
 
 def errors_of(splats: Splats, camera: Camera) -> dict[str, Line]:
-    """PSNR, largest error and depth error of each level against the reference."""
+    """PSNR, largest error and depth error of each level against the float64 reference."""
     right = create("oracle").load(splats).render(camera, RenderOptions())
     scene = create("cpu").load(splats)
     return {level: _errors(scene.render(camera, RenderOptions(exactness=level)), right) for level in Exactness}
@@ -175,7 +175,7 @@ def _growth(settings: RasterSettings) -> Iterator[Line]:
 
 
 def _limit(settings: RasterSettings) -> Line:
-    """Pixel-splat pairs a second on one thread, against what the multipliers alone could do."""
+    """Pixel-splat pairs per second on one thread, and the limit set by the multipliers."""
     from cags_kernels.raster import NativeScene, RasterCamera, RasterOptions
 
     source = open_scene(settings.scene_list[0])
@@ -223,7 +223,7 @@ def _checks(ratios: list[float], psnr: dict[str, list[float]]) -> list[Line]:
 
 
 def _growth_checks(growth: list[Line]) -> list[Line]:
-    """Whether the time of the most splats is at most in proportion to that of the fewest, size by size."""
+    """Check for each size that time grows at most in proportion to the number of splats."""
     checks = []
     for size in dict.fromkeys(line["size"] for line in growth):
         lines = [line for line in growth if line["size"] == size]

@@ -1,4 +1,4 @@
-"""``cags-bench raster``: speed and exactness of the ``cpu`` backend, beside the prototype, in one interleaved run."""
+"""``cags-bench raster``: speed and accuracy of the ``cpu`` backend and the prototype, in one interleaved run."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ from typing import Any
 from cags_bench.raster.settings import BACKENDS, RasterSettings
 from cags_common.settings import add_settings, load_settings
 
-SUMMARY = (
-    "Time the CPU rasteriser in interleaved runs beside the prototype, and measure its error against the reference."
-)
+SUMMARY = "Time the CPU rasteriser and the prototype in interleaved runs, and measure the error against the reference."
 
 EXAMPLES = """\
   cags-bench raster --shared ../shared --json
@@ -24,18 +22,18 @@ EXAMPLES = """\
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's flags."""
+    """Add the command's flags."""
     add_settings(parser, RasterSettings)
     parser.add_argument(
         "--backends",
         nargs="+",
         choices=BACKENDS,
-        help="instead: these backends against the definition, the correction of frames, and the work of a frame",
+        help="instead: compare these backends with the definition, and measure correction and work",
     )
 
 
 def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """The lines of what was asked for, the summary last."""
+    """The requested lines, the summary last."""
     settings = load_settings(RasterSettings, arguments)
     if arguments.backends:
         from cags_bench.raster.backends import measure_backends

@@ -1,4 +1,4 @@
-"""``cags-bench raster --table``: the paper's client table, references a second and growth, on this machine's GPU."""
+"""``cags-bench raster --table``: the paper's client table, references per second and growth, on this machine's GPU."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from cags_gpu.timing import frame_times_ms
 SCENE = "procedural:size={splats},frames=1"
 FRAME_SPLATS = 150_000
 FRAME_MS = 3.0
-"""Target of a whole client frame."""
+"""Target for a whole client frame."""
 
 CLIENTS_RATE = 64, 30
-"""Target: so many clients, so many references a second each."""
+"""Target: number of clients, and references per second for each."""
 
 KNEE = 0.1
 
@@ -58,11 +58,15 @@ def measure_table(settings: RasterSettings) -> Iterator[Line]:
 
 
 def client_lines(settings: RasterSettings, source: FrameSource, splats: Splats, scene: GpuScene) -> Iterator[Line]:
-    """Drawing, alignment with correction, and the whole frame with the read-back of what is shown."""
+    """Drawing, correction, and the whole frame including the read-back of the displayed picture."""
     size = settings.size_list[-1]
     camera, options = view_of(source, *size), RenderOptions()
-    there = replace(camera, intrinsics=camera.intrinsics.resized(*REFERENCE_SIZE))
-    grey = Reference(np.full((there.height_px, there.width_px, 3), ZERO, np.float32), there, knee=KNEE)
+    reference_camera = replace(camera, intrinsics=camera.intrinsics.resized(*REFERENCE_SIZE))
+    grey = Reference(
+        np.full((reference_camera.height_px, reference_camera.width_px, 3), ZERO, np.float32),
+        reference_camera,
+        knee=KNEE,
+    )
     stages: dict[str, Callable[[], object]] = {
         "drawn and shown": lambda: shown(scene, camera, options, None),
         "whole frame": lambda: shown(scene, camera, options, grey),
@@ -80,15 +84,15 @@ def client_lines(settings: RasterSettings, source: FrameSource, splats: Splats, 
 def reference_lines(
     settings: RasterSettings, source: FrameSource, splats: Splats, truth: GpuScene, clients: int
 ) -> Iterator[Line]:
-    """References a second of a server: for each client truth and mirror drawn, subtracted and companded."""
+    """References per second of a server: for each client, truth and mirror are drawn, subtracted and companded."""
     camera = view_of(source, *settings.size_list[-1])
-    there = replace(camera, intrinsics=camera.intrinsics.resized(*REFERENCE_SIZE))
-    footprint = Footprint.of(camera.intrinsics, there.intrinsics)
+    reference_camera = replace(camera, intrinsics=camera.intrinsics.resized(*REFERENCE_SIZE))
+    footprint = Footprint.of(camera.intrinsics, reference_camera.intrinsics)
     options = RenderOptions(footprint=footprint, contribution=True)
     looks = Look.LACK, Look.COMPANDED
 
     def compare(mirror: GpuScene) -> None:
-        if truth.compared(mirror, there, options, knee=KNEE, looks=looks) is None:
+        if truth.compared(mirror, reference_camera, options, knee=KNEE, looks=looks) is None:
             raise RuntimeError("the device was lost or cannot hold the scenes; draw fewer splats and run it again")
 
     mirrors = [_mirror(splats, seed) for seed in range(clients)]
@@ -99,12 +103,12 @@ def reference_lines(
         for mirror in mirrors:
             compare(mirror)
     rate = settings.repetitions * clients / (time.perf_counter() - start)
-    size = size_text((there.width_px, there.height_px))
+    size = size_text((reference_camera.width_px, reference_camera.height_px))
     yield {"case": "references", "clients": clients, "size": size, "a_second": round(rate, 1)}
 
 
 def _mirror(splats: Splats, seed: int) -> GpuScene:
-    """A client's copy: other base colours, so that there is something to send."""
+    """A client's copy with different base colours, so that there is a difference to send."""
     noise = np.random.default_rng(seed).normal(0.0, 0.1, splats.sh0.shape).astype(np.float32)
     made = create("gpu").load(replace(splats, sh0=splats.sh0 + noise))
     assert isinstance(made, GpuScene)
@@ -112,7 +116,7 @@ def _mirror(splats: Splats, seed: int) -> GpuScene:
 
 
 def growth_lines(settings: RasterSettings, count: int) -> Iterator[Line]:
-    """A frame of ``count`` splats at the smallest and the largest size."""
+    """Time of a frame with ``count`` splats at the smallest and the largest size."""
     source = open_scene(SCENE.format(splats=count))
     scene = create("gpu").load(source.frame(0))
     assert isinstance(scene, GpuScene)

@@ -1,7 +1,7 @@
-"""Other renderers of splats that run without a graphics card, from PyPI; timed where they are installed.
+"""Other splat renderers from PyPI that need no graphics card; timed if they are installed.
 
-Open3D (0.20 and later) draws splats by Vulkan compute shaders; on Debian's lavapipe (``mesa-vulkan-drivers``) these
-run on the processor: ``pip install open3d`` and ``apt-get install mesa-vulkan-drivers libgl1 libegl1 libusb-1.0-0``.
+Open3D (0.20 and later) draws splats with Vulkan compute shaders, which Debian's lavapipe (``mesa-vulkan-drivers``) runs
+on the processor: ``pip install open3d`` and ``apt-get install mesa-vulkan-drivers libgl1 libegl1 libusb-1.0-0``.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ OPEN3D = "open3d"
 
 
 def peer_contenders(splats: Splats) -> list[Contender]:
-    """The peers that are installed here, each with the scene loaded."""
+    """The installed peers, each with the scene loaded."""
     if importlib.util.find_spec("open3d") is None:
         return []
     try:
@@ -31,7 +31,7 @@ def peer_contenders(splats: Splats) -> list[Contender]:
 
 
 class _Open3d:
-    """Open3D's off-screen renderer; one a size, for it cannot be resized. It uses all processors, whatever is asked."""
+    """Open3D's off-screen renderers, one per size because they cannot be resized. They always use all processors."""
 
     def __init__(self, splats: Splats) -> None:
         import open3d
@@ -52,7 +52,7 @@ class _Open3d:
             setattr(self._cloud.point, name, open3d.core.Tensor(np.ascontiguousarray(column, np.float32)))
 
     def frame(self, camera: Camera, threads: int) -> Frame:
-        """Renders one view; 8 bits a channel is what it gives."""
+        """Render one view; the result has 8 bits per channel."""
         size = camera.width_px, camera.height_px
         renderer = self._renderers.get(size)
         if renderer is None:

@@ -1,4 +1,4 @@
-"""Settings of the rasterisers' benchmark."""
+"""Settings of the rasteriser benchmark."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from cags_common.settings import check_settings, setting
 class RasterSettings:
     """What is measured."""
 
-    shared: str = setting("../shared", "folder with scenes/ and prototypes/; what is not there is left out")
+    shared: str = setting("../shared", "folder that contains scenes/ and prototypes/; missing ones are left out")
     scenes: str = setting("", "scenes, separated by ';'; empty: three captures of --shared, or a procedural one")
     sizes: str = setting("400x300,800x600,1600x1200", "image sizes in pixels, WIDTHxHEIGHT, separated by commas")
     threads: str = setting("1,2", "numbers of threads, separated by commas")
-    repetitions: int = setting(9, "timed frames of each contender and case", low=1, high=1000)
-    warm_up: int = setting(2, "frames before them that are not timed", low=0, high=100)
-    reference: bool = setting(True, "whether to render the float64 reference and report errors (seconds a view)")
-    growth: bool = setting(True, "whether to time 50,000 to 800,000 splats as well")
-    views: bool = setting(True, "whether to time every scene, size and number of threads at each level")
-    upkeep: bool = setting(True, "whether to time loads, updates and contributions as well")
-    peers: bool = setting(True, "whether to time peers that are installed (Open3D: seconds a frame)")
+    repetitions: int = setting(9, "timed frames per renderer and case", low=1, high=1000)
+    warm_up: int = setting(2, "frames before the timed ones", low=0, high=100)
+    reference: bool = setting(True, "render the float64 reference and report errors (takes seconds per view)")
+    growth: bool = setting(True, "also time 50,000 to 800,000 splats")
+    views: bool = setting(True, "time every scene, size and number of threads at each level")
+    upkeep: bool = setting(True, "also time loads, updates and contributions")
+    peers: bool = setting(True, "also time installed peers (Open3D takes seconds per frame)")
 
     table: bool = setting(
-        False, "instead: the client table, references a second and growth on this machine's graphics processor"
+        False, "instead: client table, references per second and growth on this machine's graphics processor"
     )
-    clients: str = setting("1,8,64", "clients of --table's server, separated by commas")
+    clients: str = setting("1,8,64", "numbers of clients for --table, separated by commas")
     growing: str = setting(
-        "50000,150000,400000,1000000,2000000,4000000", "splats of --table's growth, separated by commas"
+        "50000,150000,400000,1000000,2000000,4000000", "numbers of splats for --table, separated by commas"
     )
 
     def __post_init__(self) -> None:
@@ -62,7 +62,7 @@ class RasterSettings:
 
     @property
     def scene_list(self) -> list[str]:
-        """Scene names that open_scene reads."""
+        """Specs of the scenes to draw."""
         if self.scenes:
             return self.scenes.split(";")
         folder = Path(self.shared) / "scenes"
@@ -77,7 +77,7 @@ def _numbers(name: str, text: str) -> list[int]:
     except ValueError as error:
         raise ConfigError(f"{name} = {text!r} must be like 1,2") from error
     if min(counts) < 1:
-        raise ConfigError(f"{name} = {text!r} must be at least 1 each")
+        raise ConfigError(f"{name} = {text!r} : every number must be at least 1")
     return counts
 
 

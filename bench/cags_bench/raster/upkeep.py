@@ -1,4 +1,4 @@
-"""What a scene costs besides its frames: loading, updating in part, harmonics of zeros, contributions."""
+"""Costs of a scene apart from its frames: loading, partial updates, zero harmonics, contributions."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from cags_common.splats import SH_REST_OF_DEGREE, Splats
 
 UPDATED = 4_000
 FRAME_MS = 33.0
-"""What a server has for one client's reference frame."""
+"""Time that a server has for one client's reference frame."""
 
 Line = dict[str, Any]
 
 
 def upkeep_line(name: str, splats: Splats, camera: Camera, repetitions: int) -> Line:
-    """Medians of interleaved repetitions, ms; one thread for renders. ``camera`` is that of a reference frame."""
+    """Median times of interleaved repetitions, ms; renders use one thread. ``camera`` is a reference frame's."""
     rows = np.sort(np.random.default_rng(0).choice(len(splats), min(UPDATED, len(splats)), replace=False))
     part, scene = splats.take(rows), create("cpu").load(splats)
     flat = replace(splats, sh_rest=np.zeros((len(splats), 0, 3), np.float32))
@@ -53,7 +53,7 @@ def upkeep_line(name: str, splats: Splats, camera: Camera, repetitions: int) -> 
 
 
 def upkeep_checks(line: Line) -> list[Line]:
-    """Updates in part, harmonics of zeros, and a server's frame."""
+    """Checks of partial updates, zero harmonics, and a server's frame."""
     share = round(line["update_ms"] / line["load_ms"], 3)
     most = 3 * line["updated"] / line["splats"]
     zeros = round(line["harmonics_of_zeros_ms"] / line["no_harmonics_ms"], 3)

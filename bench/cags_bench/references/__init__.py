@@ -1,1 +1,1 @@
-"""What references bring: differences, pictures, the paper's way, and none, over whole sessions."""
+"""Gain of references over whole sessions: differences, pictures, the paper's method, and none."""

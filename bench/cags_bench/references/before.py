@@ -19,8 +19,8 @@ from cags_server.settings import ServerSettings
 def played_before(python: str, case: Case) -> JsonObject:
     """Play ``case`` with ``cags-bench stream`` of another installation (its ``python``), with its default restoration.
 
-    Both use the same bundle if the format is the same, so that both send the same splats. Raises
-    :class:`ConfigError` if the other installation cannot run.
+    If their bundle formats are equal, both use the same bundle and so send the same splats. Raises :class:`ConfigError`
+    if the other installation cannot run.
     """
     server = ServerSettings()
     with tempfile.TemporaryDirectory(prefix="cags-before-") as out:
@@ -39,20 +39,20 @@ def played_before(python: str, case: Case) -> JsonObject:
         }
         for name, value in options.items():
             command += [f"--{name}", str(value)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode:
-            said = (done.stderr.strip().splitlines() or ["nothing"])[-1]
-            raise ConfigError(f"before = {python!r} cannot play {case.scene}; it says: {said}")
-        last = json.loads(done.stdout.splitlines()[-1])
+        finished = subprocess.run(command, capture_output=True, text=True, check=False)
+        if finished.returncode:
+            message = (finished.stderr.strip().splitlines() or ["nothing"])[-1]
+            raise ConfigError(f"before = {python!r} cannot play {case.scene}; its message: {message}")
+        last = json.loads(finished.stdout.splitlines()[-1])
         text = (Path(out) / "frames.jsonl").read_text(encoding="utf-8")
     frames = [json.loads(line) for line in text.splitlines()]
     return figures_of(frames, last) | {"before_commit": last.get("commit")}
 
 
 def read_baseline(path: Path) -> list[JsonObject]:
-    """Lines of an earlier run: those marked ``before``, or else those of its own default method.
+    """Lines of an earlier run: those marked ``before``, or else those of its default method.
 
-    Raises :class:`ConfigError` for a file that holds none.
+    Raises :class:`ConfigError` if the file has none.
     """
     try:
         lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
@@ -64,6 +64,6 @@ def read_baseline(path: Path) -> list[JsonObject]:
         if found:
             return found
     raise ConfigError(
-        f"baseline = {str(path)!r} holds no case to compare with; write one with "
+        f"baseline = {str(path)!r} contains no case to compare with; write one with "
         f"cags-bench references --methods {OURS} --json"
     )

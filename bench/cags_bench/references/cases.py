@@ -1,4 +1,4 @@
-"""One scene over one link to one viewer: what every method is judged on."""
+"""A case of the experiment: one scene, one link, one viewer."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from cags_bench.traces import paper_link
 from cags_encoder import EncodeSettings
 
 LOSSES_DB = (0.1, 0.5)
-"""Losses against the client's own splats whose frames are counted."""
+"""Losses against the client's own splats; frames with a larger loss are counted."""
 
 Frames = Sequence[Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
 class Case:
-    """Everything but the method."""
+    """A complete play except for the method."""
 
     scene: str
     link_mbps: float
@@ -37,7 +37,7 @@ class Case:
 
     @property
     def label(self) -> JsonObject:
-        """What lines of equal cases have in common, wherever the files lie."""
+        """Identifies equal cases of different runs, independent of folders."""
         return {
             "scene": _short(self.scene),
             "link_mbps": self.link_mbps,
@@ -48,20 +48,20 @@ class Case:
 
     @property
     def encoding(self) -> EncodeSettings:
-        """How the scene is encoded: as ``cags-bench stream`` does."""
+        """Settings to encode the scene, as in ``cags-bench stream``."""
         return EncodeSettings(frames=self.frames)
 
     def bundle(self) -> Path:
-        """The scene, encoded."""
+        """The encoded scene."""
         return cached_bundle(self.scene, self.cache, self.encoding)
 
     def trace(self) -> str:
-        """The link, in bits of this scene."""
+        """The trace of the link, scaled to this scene."""
         return paper_link(self.bundle(), self.link_mbps)
 
 
 def cases_of(settings: ReferenceBenchSettings) -> Iterator[Case]:
-    """Every scene over every link; each scene with a walk of its own, or with all."""
+    """Every scene over every link, each scene with its own walk or with all walks."""
     walks, (frames, width, height) = settings.walk_list, settings.size
     for scene, own in zip(settings.scene_list, cycle(walks), strict=False):
         for walk in walks if settings.full else [own]:
@@ -70,7 +70,7 @@ def cases_of(settings: ReferenceBenchSettings) -> Iterator[Case]:
 
 
 def figures_of(frames: Frames, summary: Mapping[str, Any]) -> JsonObject:
-    """Quality and bytes of one play, from its records and its summary; PSNR over covered pixels, dB."""
+    """Quality and bytes of a play, from its records and summary. PSNR in dB over covered pixels."""
     shown = _series(frames, "psnr_covered_restored_db")
     own = _series(frames, "psnr_covered_distorted_db")
     losses = [mine - other for mine, other in zip(own, shown, strict=True) if math.isfinite(mine - other)]
@@ -101,7 +101,7 @@ def figures_of(frames: Frames, summary: Mapping[str, Any]) -> JsonObject:
 
 
 def _kinds(frames: Frames) -> JsonObject:
-    """Share of the frames that were shown with each kind of reference; older records do not tell."""
+    """Share of the frames shown with each kind of reference; unknown in older records."""
     kinds = [str(frame.get("reference_kind", "unknown")) for frame in frames]
     return {kind or "no reference": kinds.count(kind) / len(kinds) for kind in sorted(set(kinds))}
 
@@ -116,5 +116,5 @@ def _mean(values: Sequence[float]) -> float:
 
 
 def _short(spec: str) -> str:
-    """``spec`` without the folders of the files that it names."""
+    """``spec`` without the folders of its files."""
     return ":".join(Path(part).name if "/" in part else part for part in spec.split(":"))

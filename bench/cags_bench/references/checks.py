@@ -1,4 +1,4 @@
-"""What is asked of references, judged from the lines of a run and those of an earlier state."""
+"""Targets for references, checked from the lines of a run and of an earlier state."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ LABEL = ("scene", "link_mbps", "poses", "frames", "size")
 
 @dataclass(frozen=True)
 class Pair:
-    """The default method and another, on one case."""
+    """Results of the default method and another for the same case."""
 
     ours: JsonObject
     other: JsonObject
 
     @property
     def gain_db(self) -> float:
-        """PSNR over covered pixels."""
+        """Gain in PSNR over covered pixels."""
         return float(self.ours["psnr_db"]) - float(self.other["psnr_db"])
 
     @property
     def name(self) -> str:
-        """The case in words."""
+        """The case as text."""
         return f"{self.ours['scene']}, {self.ours['link_mbps']:g} Mbps, {self.ours['poses']}"
 
 
 def checks_of(lines: Sequence[JsonObject], earlier: Sequence[JsonObject]) -> list[JsonObject]:
-    """Against the state before, and against the other methods of this run."""
+    """Checks against the earlier state and against the other methods of this run."""
     pairs = pairs_of(lines, earlier)
     return [*(_against_before(pairs) if pairs else ()), *_against_others(lines)]
 
 
 def pairs_of(lines: Sequence[JsonObject], others: Sequence[JsonObject]) -> list[Pair]:
-    """The default method's lines beside those of ``others`` of equal cases."""
+    """Pairs of the default method's lines and those of ``others`` for the same case."""
     by_case = {_key(line): line for line in others}
     return [Pair(x, by_case[_key(x)]) for x in lines if x["method"] == OURS and _key(x) in by_case]
 

@@ -1,4 +1,4 @@
-"""``cags-bench references``: sessions with each kind of reference, against each other and against an earlier state."""
+"""``cags-bench references``: sessions with each kind of reference, compared with each other and an earlier state."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cags_bench.references.settings import ReferenceBenchSettings
 from cags_common.settings import add_settings, load_settings
 
 SUMMARY = (
-    "Play scenes in virtual time with differences, pictures, the paper's way and no references: quality, flicker, "
+    "Play scenes in virtual time with differences, pictures, the paper's method and no references: quality, flicker, "
     "bytes, processor time."
 )
 
@@ -23,12 +23,12 @@ EXAMPLES = """\
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of the subcommand."""
+    """Add the command's flags."""
     add_settings(parser, ReferenceBenchSettings)
 
 
 def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """One line a case and method, then a summary with its checks. Raises :class:`CagsError`."""
+    """One line per case and method, then a summary with its checks. Raises :class:`CagsError`."""
     settings = load_settings(ReferenceBenchSettings, arguments)
     from cags_bench.references.experiment import compared
 

@@ -22,16 +22,16 @@ from cags_server.settings import ServerSettings
 
 @dataclass(frozen=True)
 class Play:
-    """A case played one way."""
+    """A case played with one method."""
 
     case: Case
     method: str
     before: str = ""
-    """Python of the earlier installation, where that is the method."""
+    """Python of the earlier installation, if that is the method."""
     lpips: str = ""
 
     def line(self) -> JsonObject:
-        """Play it."""
+        """Play the case and return its figures."""
         figures = played_before(self.before, self.case) if self.method == EARLIER else self._played()
         return {"benchmark": "references", **self.case.label, "method": self.method, **figures, **provenance()}
 
@@ -57,11 +57,11 @@ class Play:
 
 
 def compared(settings: ReferenceBenchSettings) -> Iterator[JsonObject]:
-    """One line a case and method, an earlier installation's in turns with them; then the summary."""
+    """One line per case and method, interleaved with an earlier installation; then the summary."""
     earlier = read_baseline(Path(settings.baseline)) if settings.baseline else []
     methods = [*settings.method_list, *([EARLIER] if settings.before else [])]
     cases = list(cases_of(settings))
-    for scene in dict.fromkeys(case.scene for case in cases):  # once, and not by every process
+    for scene in dict.fromkeys(case.scene for case in cases):  # once, not in every process
         next(case for case in cases if case.scene == scene).bundle()
     plays = [Play(case, method, settings.before, settings.lpips_file) for case in cases for method in methods]
     lines: list[JsonObject] = []
@@ -90,7 +90,7 @@ AVERAGED = (
 
 
 def _means(lines: Sequence[JsonObject]) -> dict[str, JsonObject]:
-    """By method: means of all its cases."""
+    """Means over all cases, by method."""
     out = {}
     for method in dict.fromkeys(str(line["method"]) for line in lines):
         own = [line for line in lines if line["method"] == method]

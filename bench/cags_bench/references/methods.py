@@ -1,4 +1,4 @@
-"""Ways to use references, as settings of server and client."""
+"""Methods of using references, as settings of server and client."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Method:
-    """What differs from the defaults."""
+    """Settings that differ from the defaults."""
 
     note: str
     server: Mapping[str, Any] = field(default_factory=dict)
@@ -17,18 +17,18 @@ class Method:
 
 
 METHODS: dict[str, Method] = {
-    "auto": Method("the default: differences or pictures, whichever leaves less"),
-    "difference": Method("what the client lacks, always", server={"references": "difference"}),
-    "picture": Method("a picture of the scene, always; the client adds what it lacks of it", {"references": "picture"}),
-    "none": Method("the client's own splats alone: all of the link is for tiles", {"references": "none"}),
+    "auto": Method("the default: differences or pictures, whichever leaves the smaller error"),
+    "difference": Method("always a difference to the client's splats", server={"references": "difference"}),
+    "picture": Method("always a picture, which the client compares with its own splats", {"references": "picture"}),
+    "none": Method("no references: the whole link is for tiles", {"references": "none"}),
     "published": Method(
-        "the paper's way: a picture drawn as any of its size, aligned with erosion (PRPA), restored by its network",
+        "the paper's method: a plain picture, aligned with erosion (PRPA), restored by its network",
         server={"references": "picture", "reference_footprint": "plain"},
         client={"restore": "srresnet", "erosion": True},
     ),
 }
-"""By the name that ``--methods`` takes. Everything else is equal: encoding, prediction, rate policy."""
+"""Methods by their names in ``--methods``. Everything else is equal: encoding, prediction, rate policy."""
 
 OURS = "auto"
 EARLIER = "before"
-"""The method's name in lines that an earlier installation made."""
+"""Name of the method in lines from an earlier installation."""

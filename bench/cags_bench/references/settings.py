@@ -16,50 +16,50 @@ FULL = {"frames": 150, "width": 800, "height": 600}
 
 
 WALKS = ("room_user05.csv", "truck_user03.csv", "playroom_user08.csv")
-"""Recorded walks of ``--shared``; each scene has its own, and with ``--full`` all of them."""
+"""Recorded walks of ``--shared``. Each scene has its own; with ``--full`` every scene has all."""
 
 
 @dataclass(frozen=True)
 class ReferenceBenchSettings:
-    """What is played, and what it is compared with."""
+    """The plays, and the state to compare with."""
 
-    shared: str = setting("../shared", "folder with scenes/, poses/ and lpips/; what is not there is left out")
+    shared: str = setting("../shared", "folder that contains scenes/, poses/ and lpips/; missing ones are left out")
     scenes: str = setting("", "scenes, separated by ';'; empty: those of --shared and a generated room")
     poses: str = setting("", "walks, separated by ';'; empty: recorded ones of --shared, else synthetic:walking")
-    links: str = setting("10,30,60", "rates of the link in Mbps of the paper's scale: as many bits a splat and second")
+    links: str = setting("10,30,60", "link rates in Mbps of the paper's scale (equal bits per splat)")
     methods: str = setting(",".join(METHODS), f"methods, of {', '.join(METHODS)}")
     full: bool = setting(
         False, f"{FULL['frames']} frames of {FULL['width']}x{FULL['height']}, every scene with every walk"
     )
-    frames: int = setting(0, f"media frames to play; 0: {QUICK['frames']}, or as --full says", low=0, high=100_000)
-    width: int = setting(0, f"client width in pixels; 0: {QUICK['width']}, or as --full says", low=0, high=8192)
-    height: int = setting(0, f"client height in pixels; 0: {QUICK['height']}, or as --full says", low=0, high=8192)
-    baseline: str = setting("", "JSON lines of an earlier run, to compare the same cases with; empty: none")
+    frames: int = setting(0, f"media frames to play; 0: {QUICK['frames']}, or the value of --full", low=0, high=100_000)
+    width: int = setting(0, f"client width in pixels; 0: {QUICK['width']}, or the value of --full", low=0, high=8192)
+    height: int = setting(0, f"client height in pixels; 0: {QUICK['height']}, or the value of --full", low=0, high=8192)
+    baseline: str = setting("", "JSON lines of an earlier run to compare with; empty: none")
     before: str = setting(
-        "", "Python of an earlier installation, which plays the same cases in turns, to be compared with; empty: none"
+        "", "Python of an earlier installation to compare with; it plays the same cases alternately; empty: none"
     )
-    lpips: str = setting("", "weights of LPIPS (.npz); empty: those of --shared, if they are there")
-    workers: int = setting(1, "sessions played at the same time; more than 1 makes times less sure", low=1, high=256)
+    lpips: str = setting("", "weights of LPIPS (.npz); empty: those of --shared, if present")
+    workers: int = setting(1, "sessions played in parallel; more than 1 makes times less reliable", low=1, high=256)
     cache: str = setting("", "folder of encoded bundles to reuse; empty: the user's cache folder")
 
     def __post_init__(self) -> None:
         check_settings(self)
         self.method_list, self.link_list  # noqa: B018 - refuse what does not parse
         if self.baseline and self.before:
-            raise ConfigError("baseline and before are both given; compare with one earlier state at a time")
+            raise ConfigError("baseline and before are both given; give one of them")
 
     @property
     def method_list(self) -> list[str]:
-        """Methods to compare, of :data:`METHODS`."""
+        """Methods to compare, from :data:`METHODS`."""
         return names_in(self.methods, "methods", METHODS)
 
     @property
     def link_list(self) -> list[float]:
-        """Mbps of the paper's scale."""
+        """Rates in Mbps of the paper's scale."""
         try:
             rates = [float(word) for word in self.links.split(",")]
         except ValueError:
-            raise ConfigError(f"links = {self.links!r} must be rates in Mbps, such as 10,30,60") from None
+            raise ConfigError(f"links = {self.links!r} must be rates in Mbps, like 10,30,60") from None
         if not all(0 < rate <= 10_000 for rate in rates):
             raise ConfigError(f"links = {self.links!r}: rates must lie in (0, 10000] Mbps")
         return rates
@@ -72,7 +72,7 @@ class ReferenceBenchSettings:
 
     @property
     def scene_list(self) -> list[str]:
-        """Scene names that ``open_scene`` reads."""
+        """Specs of the scenes to play."""
         if self.scenes:
             return self.scenes.split(";")
         folder = Path(self.shared) / "scenes"
@@ -88,7 +88,7 @@ class ReferenceBenchSettings:
 
     @property
     def walk_list(self) -> list[str]:
-        """Walks as ``open_poses`` reads them."""
+        """Specs of the walks."""
         if self.poses:
             return self.poses.split(";")
         folder = Path(self.shared) / "poses" / "eyenavgs_nthu"
@@ -96,6 +96,6 @@ class ReferenceBenchSettings:
 
     @property
     def lpips_file(self) -> str:
-        """Weights of LPIPS; empty: it is left out."""
-        there = Path(self.shared) / "lpips" / "lpips_alex.npz"
-        return self.lpips or (str(there) if there.exists() else "")
+        """Weights file of LPIPS; empty if there is none."""
+        default = Path(self.shared) / "lpips" / "lpips_alex.npz"
+        return self.lpips or (str(default) if default.exists() else "")

@@ -1,1 +1,1 @@
-"""How many sessions several servers behind a balancer carry, in virtual time."""
+"""How many sessions several servers behind a balancer can carry, in virtual time."""

@@ -1,10 +1,10 @@
-"""Servers behind a balancer as queues: what a session costs a server is rendering its references, one at a time.
+"""A queueing model of servers behind a balancer. A session costs its server the rendering of references.
 
-The rules are the product's own. A session plans a frame a period; while its last job is not done, later frames wait and
+The rules are those of the product. A session plans a frame per period. While its last job runs, later frames wait, and
 only the newest is begun (:meth:`cags_server.session.streamer.Streamer.begin`). A server has as many renderers as
-``cags-server --workers`` and takes jobs as they come. The balancer sends a new session to the server with the fewest
-(``least_conn`` of ``deploy/nginx/nginx.conf``), where it stays; a session whose server dies joins again after the time
-that clients need for it. Viewers stay for a random time, and for each that leaves another comes.
+``cags-server --workers`` and runs jobs in order of arrival. The balancer sends a new session to the server with the
+fewest (``least_conn`` of ``deploy/nginx/nginx.conf``), where it stays. If a server dies, its sessions join again after
+the time that clients need to reconnect. Viewers stay for a random time; each one that leaves is replaced by another.
 """
 
 from __future__ import annotations
@@ -18,41 +18,42 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Load:
-    """Who comes, and what a reference costs."""
+    """The viewers, and the cost of a reference."""
 
     sessions: int
-    """Sessions at a time."""
+    """Number of simultaneous sessions."""
     job_ms: float = 18.0
-    """Rendering and coding one reference on one renderer."""
+    """Time to render and code one reference on one renderer."""
     workers: int = 2
-    """Renderers of a server."""
+    """Renderers per server."""
     fps: float = 30.0
     lead_ms: float = 200.0
-    """From planning a frame to its display: a reference that takes longer is late."""
+    """Time from planning a frame to its display; references that take longer are late."""
     stay_s: float = 20.0
     """Mean length of a session."""
     seconds: float = 30.0
     rejoin_ms: float = 500.0
-    """From the death of a server to its sessions' joining elsewhere."""
+    """Time from a server's death until its sessions have joined elsewhere."""
     seed: int = 1
 
 
 @dataclass
 class Outcome:
-    """What came of a run."""
+    """Result of a run."""
 
     due: int = 0
-    """References that sessions were due."""
+    """Number of planned references."""
     on_time: int = 0
     late: int = 0
-    """That came too late, or never because a newer one was due. Those under way when a run, or a server, ends are
-    neither late nor on time."""
+    """References that came too late, or were skipped for a newer one. Those under way when the run, or their server,
+    ends are neither late nor on time.
+    """
     peak_imbalance: int = 0
-    """Largest difference between the fullest and the emptiest living server."""
+    """Largest difference in sessions between the fullest and the emptiest living server."""
 
     @property
     def share(self) -> float:
-        """Share of the references due that arrived in time."""
+        """Share of planned references that arrived in time."""
         return self.on_time / self.due if self.due else 1.0
 
 
@@ -70,7 +71,7 @@ class _Session:
     server: _Server | None = None
     busy: bool = False
     overdue_s: float | None = None
-    """When the newest frame that waits for this session's renderer was due."""
+    """Due time of the newest frame that waits for this session's renderer."""
 
 
 class Cluster:

@@ -1,4 +1,4 @@
-"""``cags-bench scale``: what viewers cost a server, and the sessions that 1, 2, 4, ... servers carry at that cost."""
+"""``cags-bench scale``: a server's cost per viewer, and the sessions that 1, 2, 4, ... servers carry at that cost."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from cags_bench.jsonl import check, summary
+from cags_bench.jsonl import check, provenance, summary
 from cags_bench.scale.cluster import Cluster, Load
 from cags_bench.scale.settings import ScaleSettings
 from cags_common.settings import add_settings, load_settings
 
-SUMMARY = "What viewers cost a server with the closed loop on, and the sessions that several servers carry."
+SUMMARY = "Measure a server's cost per viewer, and the number of sessions that several servers carry."
 EXAMPLES = """\
   cags-bench scale --table sizing.md --json
   cags-bench scale --scene clip.cags --viewers 8 --mbps 10
@@ -21,7 +21,7 @@ EXAMPLES = """\
 """
 
 SERVED = 0.99
-"""Share of references in time at which a load is carried."""
+"""Share of references in time for which a load counts as carried."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     checks: list[dict[str, Any]] = []
     job_ms = settings.job_ms
     if job_ms is None:
-        from cags_bench.scale.sizing import crowd_line, judged, scenes, sizing_table, viewer_lines
+        from cags_bench.scale.sizing import crowd_line, judged, scenes, sizing_caption, sizing_table, viewer_lines
 
         lines: list[dict[str, Any]] = []
         for scene in scenes(settings):
@@ -46,7 +46,8 @@ def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
             lines.append(crowd_line(settings))
             yield lines[-1]
         if settings.table:
-            Path(settings.table).write_text(sizing_table(lines), encoding="utf-8")
+            text = f"{sizing_table(lines)}\n{sizing_caption(lines, provenance())}\n"
+            Path(settings.table).write_text(text, encoding="utf-8")
         checks += judged(lines)
         job_ms = lines[0]["job_ms"]
     curve: dict[int, int] = {}
@@ -64,7 +65,7 @@ def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
 
 
 def _servers(settings: ScaleSettings, job_ms: float) -> Iterator[dict[str, Any]]:
-    """The curve of the model, and the death of one server."""
+    """The model's curve, and the death of one server."""
     load = Load(
         1, job_ms=job_ms, workers=settings.workers, stay_s=settings.stay_s, seconds=settings.seconds, seed=settings.seed
     )
@@ -91,7 +92,7 @@ def _curve_checks(curve: dict[int, int], death: dict[str, Any]) -> list[dict[str
 
 
 def capacity(servers: int, load: Load) -> int:
-    """Most sessions of which :data:`SERVED` of the references come in time, by bisection."""
+    """Largest number of sessions with at least :data:`SERVED` of the references in time, by bisection."""
     ideal = servers * load.workers * 1e3 / load.job_ms / load.fps
     low, high = 0, max(2, int(ideal * 1.5) + 1)
     while high - low > 1:
@@ -102,7 +103,7 @@ def capacity(servers: int, load: Load) -> int:
 
 
 def _after_a_death(servers: int, curve: dict[int, int], load: Load) -> dict[str, Any]:
-    """One of ``servers`` dies midway under the load that the others can carry."""
+    """One of ``servers`` dies in the middle of a run with the load that the others can carry."""
     sessions = curve[servers] * (servers - 1) // servers
     outcome = Cluster(servers, replace(load, sessions=sessions)).run(kill_at_s=load.seconds / 2)
     return {"sessions": sessions, "share_on_time": round(outcome.share, 4), "imbalance": outcome.peak_imbalance}

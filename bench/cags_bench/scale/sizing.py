@@ -1,4 +1,4 @@
-"""The sizing table: what a viewer of a scene costs, how many a core carries, and what sharing spares."""
+"""The sizing table: a scene's cost per viewer, viewers per core, and the gain from sharing."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from cags_encoder import EncodeSettings
 from cags_server.http.capacity import HEADROOM
 
 CROWD_FPS, CROWD_MBPS, CROWD_CORES, CROWD_RUNS = 5.0, 3.0, 2, 3
-"""A crowd that two cores are to carry: frames a second and link of each viewer; runs, each on other walks."""
+"""A crowd for two cores: frames per second and link of each viewer, cores, and runs, each with other walks."""
 
 CROWD_FRAMES = 15
 
 
 def scenes(settings: ScaleSettings) -> list[str]:
-    """What is watched."""
+    """Specs of the scenes to play."""
     frames = settings.clip_frames
     return [settings.scene] if settings.scene else [
         f"procedural:size={size},frames={frames}" for size in settings.sizes.split(",")
@@ -31,7 +31,7 @@ def scenes(settings: ScaleSettings) -> list[str]:
 
 
 def viewer_lines(scene: str, settings: ScaleSettings) -> Iterator[dict[str, Any]]:
-    """A line for each way to watch ``scene``, and for each kind of reference; the shipped way is the first."""
+    """One line per kind of audience of ``scene`` and kind of reference; the default is the first."""
     bundle = _bundle(scene, settings.cache, EncodeSettings(frames=settings.clip_frames))
     ways = [(SAME, "auto"), (APART, "auto"), (ALONE, "auto"), (SAME, "picture"), (SAME, "none")]
     audiences = [Audience(bundle, settings.viewers, settings.mbps, sharing, references) for sharing, references in ways]
@@ -40,7 +40,7 @@ def viewer_lines(scene: str, settings: ScaleSettings) -> Iterator[dict[str, Any]
 
 
 def crowd_line(settings: ScaleSettings) -> dict[str, Any]:
-    """A crowd at few frames a second: the cores that it would take, and how it fares on those that there are."""
+    """A crowd at few frames per second: the cores that it needs, and its results on the given number of cores."""
     scene = settings.scene or f"procedural:size=30000,frames={CROWD_FRAMES}"
     bundle = _bundle(scene, settings.cache, EncodeSettings(frames=CROWD_FRAMES, fps=CROWD_FPS))
     audience = Audience(bundle, settings.crowd, CROWD_MBPS)
@@ -66,12 +66,12 @@ def crowd_line(settings: ScaleSettings) -> dict[str, Any]:
 
 
 def _missed(run: Sequence[SessionResult]) -> int:
-    """Frames whose data had not come at their display."""
+    """Number of frames whose data had not arrived when they were displayed."""
     return sum(one.summary["frames_missed"] for one in run)
 
 
 def judged(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Checks that these lines can answer."""
+    """Checks that these lines allow."""
     out = []
     for scene, ways in _by_scene(lines).items():
         name = _name(scene, ways[SAME, "auto"])
@@ -96,7 +96,7 @@ def judged(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def sizing_table(lines: Sequence[dict[str, Any]]) -> str:
-    """Markdown: a row a scene, processor time a viewer and second, and viewers a core."""
+    """Markdown table with one row per scene: processor time per viewer and second, and viewers per core."""
     rows = []
     for ways in _by_scene(lines).values():
         best = ways[SAME, "auto"]
@@ -111,6 +111,16 @@ def sizing_table(lines: Sequence[dict[str, Any]]) -> str:
         ]
         rows.append("| " + " | ".join(cells) + " |")
     return "\n".join([*HEADER, *rows]) + "\n"
+
+
+def sizing_caption(lines: Sequence[dict[str, Any]], where: dict[str, Any]) -> str:
+    """What the table's rows are, and where they were measured (:func:`cags_bench.jsonl.provenance`)."""
+    line = next(iter(_by_scene(lines).values()))[SAME, "auto"]
+    return (
+        f"A row is a scene, {line['viewers']} viewers at {line['mbps']:g} Mbps each on walks of their own, medians of "
+        f"{line['rounds']} rounds ({where['machine']}; commit {where['commit']}; [lines](sizing.jsonl)). CPU ms are a "
+        f"viewer's for each second that it watches; a core carries what takes {HEADROOM:.0%} of it."
+    )
 
 
 HEADER = (

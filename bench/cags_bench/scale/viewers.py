@@ -1,12 +1,12 @@
-"""What viewers cost one server: whole sessions with the closed loop, by processor time, in virtual time.
+"""A server's cost per viewer: whole sessions with references, by processor time, in virtual time.
 
-Viewers of one server share what it has decoded of the bundle for their mirrors and what it has loaded of the scene for
-their references; a mirror's own state, and the references themselves, each has for itself. Three ways to watch are
-played in turns, so that what else the machine does meets all of them: the same moment (most is shared), moments apart
-(each is elsewhere in the clip), and nothing shared (a server for each).
+Viewers of one server share the data that it decoded for their mirrors and the scene that it loaded for their
+references. Each viewer has its own mirror state and its own references. Three kinds of audience are played alternately,
+so that other load on the machine affects all: at the same moment of the clip (most is shared), at different moments,
+and with nothing shared (one server each).
 
-Processor time over all threads stands for the machine, because it depends little on what else runs there, and wall time
-does. Reading from and writing to sockets, TLS and the event loop are not in it.
+The measure is processor time over all threads, because it hardly depends on other load, unlike wall time. Socket
+input and output, TLS and the event loop are not included.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from cags_common.tiles.kinds import TileKind
 from cags_server.settings import ServerSettings
 
 SAME, APART, ALONE = "same moment", "moments apart", "nothing shared"
-"""How viewers watch, from most that they share to nothing."""
+"""Kinds of audience, from most sharing to none."""
 
 APART_US = 700_000
-"""From one viewer's joining to the next's, where they watch moments apart."""
+"""Time between joining viewers if they watch different moments."""
 
 SCATTERED_US = 10_000
-"""The same where viewers share a processor: nobody's frames are due at another's very moment."""
+"""The same if viewers share a processor: their frames are then not all due at the same moment."""
 
 NEVER = 1_000_000
-"""Pictures are not restored: what clients make of them is not measured."""
+"""Interval of restored pictures; the clients' pictures are not measured."""
 
 
 @dataclass(frozen=True)
 class Audience:
-    """So many viewers of one bundle, each on a walk of its own over a link of its own."""
+    """Viewers of one bundle, each on its own walk over its own link."""
 
     bundle: Path
     viewers: int
@@ -50,10 +50,10 @@ class Audience:
     height: int = 300
     poses: str = "synthetic:walking"
     cores: int | None = None
-    """Cores that the server's work shares; None: it takes no time."""
+    """Cores that run the server's work; None: it takes no time."""
 
     def scenarios(self, first_seed: int) -> list[Scenario]:
-        """Whose walks have the seeds from ``first_seed`` on."""
+        """Scenarios whose walks have consecutive seeds from ``first_seed``."""
         base = Scenario(
             self.bundle,
             f"generated:steady-{self.mbps:g}",
@@ -66,7 +66,7 @@ class Audience:
         return [replace(base, poses=f"{self.poses}:seed={first_seed + number}") for number in range(self.viewers)]
 
     def played(self, first_seed: int) -> list[SessionResult]:
-        """Their sessions, to the end of the clip."""
+        """Play the sessions to the end of the clip."""
         scenarios = self.scenarios(first_seed)
         if self.sharing == ALONE:
             return [result for scenario in scenarios for result in simulate_together([scenario])]
@@ -76,9 +76,9 @@ class Audience:
 
 @dataclass(frozen=True)
 class Cost:
-    """Processor time of a server for a second that one viewer watches, milliseconds.
+    """A server's processor time per viewer and second, milliseconds.
 
-    Counted from the display of a viewer's first frame to the last job that it causes: what joining takes comes once.
+    It is counted from a viewer's first displayed frame to its last job, without the one-time cost of joining.
     """
 
     truth_ms: float
@@ -86,11 +86,11 @@ class Cost:
     coding_ms: float
     serving_ms: float
     jobs: float
-    """References, and drawings that tell what is visible, in that second."""
+    """Jobs per second: references, and renders that determine what is visible."""
     mirror_mb: float
-    """Largest mirror of a viewer."""
+    """Largest mirror of a viewer, megabytes."""
     missed: int
-    """Frames, of all viewers, whose data had not come at their display."""
+    """Number of frames of all viewers whose data had not arrived when they were displayed."""
 
     @property
     def total_ms(self) -> float:
@@ -99,16 +99,16 @@ class Cost:
 
     @property
     def job_ms(self) -> float:
-        """All of it over the jobs."""
+        """Mean cost per job."""
         return self.total_ms / self.jobs if self.jobs else self.total_ms
 
 
 def cost_of(results: Sequence[SessionResult]) -> Cost:
-    """Cost of sessions. Raises :class:`ConfigError` where they were too short to say."""
+    """Cost of sessions. Raises :class:`ConfigError` if they were too short."""
     accounts = [(result.spent, result.spent.playing) for result in results]
     seconds = sum((spent.last_job_us - playing.began_us) / 1e6 for spent, playing in accounts if playing)
     if seconds <= 0:
-        raise ConfigError("clip_frames: the clip ends before a viewer costs anything; give more frames")
+        raise ConfigError("clip_frames: the clip is too short to measure a viewer's cost; give more frames")
     jobs = [job for spent, playing in accounts if playing for job in spent.references[playing.references :]]
     return Cost(
         truth_ms=sum(job.truth_ms for job in jobs) / seconds,
@@ -122,7 +122,7 @@ def cost_of(results: Sequence[SessionResult]) -> Cost:
 
 
 def measured(audiences: Sequence[Audience], rounds: int, seed: int) -> dict[Audience, list[Cost]]:
-    """Costs of each audience, a round after the other and in turns within each; every round has walks of its own."""
+    """Costs of each audience. Audiences alternate within a round; every round has its own walks."""
     costs: dict[Audience, list[Cost]] = {audience: [] for audience in audiences}
     for number in range(rounds):
         for audience in audiences:
@@ -131,7 +131,7 @@ def measured(audiences: Sequence[Audience], rounds: int, seed: int) -> dict[Audi
 
 
 def lines_of(costs: dict[Audience, list[Cost]], splats: int, headroom: float) -> Iterator[dict[str, Any]]:
-    """A line an audience: medians over rounds, and lowest and highest sum."""
+    """One line per audience: medians over rounds, and the range of the sums."""
     for audience, rounds in costs.items():
         sums = [cost.total_ms for cost in rounds]
         yield {
@@ -154,6 +154,6 @@ def lines_of(costs: dict[Audience, list[Cost]], splats: int, headroom: float) ->
 
 
 def splats_shown(bundle: Path) -> int:
-    """Splats of a bundle's first frame; tiles that only move them are not counted."""
+    """Number of splats in a bundle's first frame, without tiles of motion."""
     with open_bundle(bundle) as reader:
         return sum(tile.splats for tile in reader.frame(0).tiles if tile.kind is TileKind.LOOKS)

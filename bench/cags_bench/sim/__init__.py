@@ -1,1 +1,1 @@
-"""The whole system in one process and in virtual time: deterministic, every frame rendered."""
+"""The whole system in one process and in virtual time. Deterministic; every frame is rendered."""

@@ -1,7 +1,7 @@
-"""Bundles as a simulated server reads them: with the source frames inside, or where those stayed behind, without.
+"""Bundles for simulated servers, with or without source frames.
 
-A published folder (``cags-encode --publish``) holds what a player needs and no source frames. Its top level stands in
-for them: references are rendered from it, and pictures are compared with it.
+A published folder (``cags-encode --publish``) has what a player needs, but no source frames. Its top level replaces
+them: references are rendered from it, and pictures are compared with it.
 """
 
 from __future__ import annotations
@@ -22,27 +22,27 @@ from cags_common.splats import Splats
 from cags_common.tiles.svq import MAX_CODEBOOK_BYTES
 
 SOURCE, TOP_LEVEL = "the source frames", "the bundle's top level"
-"""What pictures are compared with."""
+"""The truth that pictures are compared with."""
 
 
 def is_bundle(scene: str) -> bool:
-    """Whether ``scene`` names a folder that holds a bundle, published or not, and no scene to be encoded."""
+    """Whether ``scene`` is a folder with a bundle, published or not, and not a scene to encode."""
     return (Path(scene) / MANIFEST_NAME).is_file()
 
 
 def truth_of(bundle: Path) -> str:
-    """:data:`SOURCE` or :data:`TOP_LEVEL`: what pictures of ``bundle`` are compared with."""
+    """:data:`SOURCE` or :data:`TOP_LEVEL`: the truth for pictures of ``bundle``."""
     return TOP_LEVEL if _published_codebooks(bundle) else SOURCE
 
 
 def open_bundle(bundle: Path) -> BundleReader:
-    """A reader of ``bundle``. Raises :class:`BundleError` or :class:`DecodeError` where it cannot be read."""
+    """A reader of ``bundle``. Raises :class:`BundleError` or :class:`DecodeError` if it cannot be read."""
     codebooks = _published_codebooks(bundle)
     return PublishedReader.at(bundle, codebooks) if codebooks else BundleReader.open(str(bundle))
 
 
 def _published_codebooks(bundle: Path) -> str:
-    """Name of a published folder's codebooks; empty where ``bundle`` is not published or cannot be read."""
+    """Name of a published folder's codebooks; empty if ``bundle`` is not published or cannot be read."""
     try:
         table = json.loads((bundle / MANIFEST_NAME).read_bytes())
     except (OSError, ValueError):
@@ -52,17 +52,17 @@ def _published_codebooks(bundle: Path) -> str:
 
 
 class PublishedReader(BundleReader):
-    """A published folder: the splats of its top level are its source frames."""
+    """Reader of a published folder. The splats of its top level are its source frames."""
 
     def __init__(self, store: UrlStore, manifest: Manifest, codebooks: bytes) -> None:
-        super().__init__(store, replace(manifest, weights_crc=None), codebooks)  # weights stay behind, too
+        super().__init__(store, replace(manifest, weights_crc=None), codebooks)  # weights are not published
         self._player = BundlePlayer(self)
         self._decoding = threading.RLock()
-        self._newest: dict[int, SourceFrame] = {}  # the last two that were asked for
+        self._newest: dict[int, SourceFrame] = {}  # cache of the last two frames
 
     @classmethod
     def at(cls, folder: Path, codebooks: str) -> PublishedReader:
-        """Open ``folder``, whose codebooks lie in the file ``codebooks``."""
+        """Open ``folder`` with the codebooks in the file ``codebooks``."""
         store = UrlStore(str(folder))
         manifest = Manifest.from_json(store.read_all(MANIFEST_NAME, MAX_MANIFEST_BYTES))
         return cls(store, manifest, store.read_all(codebooks, MAX_CODEBOOK_BYTES))
@@ -92,13 +92,13 @@ class PublishedReader(BundleReader):
 
 def _changed(before: SourceFrame, now: SourceFrame) -> np.ndarray:
     """Rows [n] of ``now`` that are new or differ in any value."""
-    _, here, there = np.intersect1d(now.ids, before.ids, assume_unique=True, return_indices=True)
-    same = np.ones(len(here), bool)
+    _, now_rows, before_rows = np.intersect1d(now.ids, before.ids, assume_unique=True, return_indices=True)
+    same = np.ones(len(now_rows), bool)
     for new, old in zip(_arrays(now.splats), _arrays(before.splats), strict=True):
-        same &= (new[here] == old[there]).reshape(len(here), -1).all(axis=1)
-    alike = np.zeros(len(now.ids), bool)
-    alike[here] = same
-    return np.flatnonzero(~alike)
+        same &= (new[now_rows] == old[before_rows]).reshape(len(now_rows), -1).all(axis=1)
+    unchanged = np.zeros(len(now.ids), bool)
+    unchanged[now_rows] = same
+    return np.flatnonzero(~unchanged)
 
 
 def _arrays(splats: Splats) -> list[np.ndarray]:

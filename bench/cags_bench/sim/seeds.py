@@ -1,7 +1,7 @@
-"""Other plays of the same kind: another walk, and another part of the trace, by the number of a seed.
+"""Variations of a play: a seed selects another walk and another part of the trace.
 
-Seed 0 is the walk and the trace as they are named. Any two settings that are compared over the same seeds see the same
-walks and links, so their differences are paired.
+Seed 0 is the named walk and trace. Settings that are compared over the same seeds get the same walks and links, so
+their differences are paired.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from cags_common.poses import Focus, PoseTrace, open_poses, place, read_poses
 from cags_shaper.trace import Trace
 
 GOLDEN = 0.6180339887498949
-"""Multiples of it modulo 1 spread evenly however many there are."""
+"""Multiples of the golden ratio modulo 1 are evenly distributed for any number of seeds."""
 
 SEED = ":seed="
 
 
 def share_of(seed: int) -> float:
-    """Where the part of ``seed`` begins, as a share in [0, 1); 0 of seed 0."""
+    """Start of the part for ``seed``, as a share in [0, 1); 0 for seed 0."""
     return seed * GOLDEN % 1.0
 
 
 def trace_of(trace: Trace, seed: int) -> Trace:
-    """``trace`` from another moment on; what lay before follows at the end of the period."""
+    """``trace`` from another start; the part before it follows at the end of the period."""
     start_ms = round(share_of(seed) * trace.period_ms)
     if not start_ms:
         return trace
@@ -42,9 +42,9 @@ def trace_of(trace: Trace, seed: int) -> Trace:
 
 
 def walk_of(spec: str, focus: Focus, window_us: int, seed: int) -> PoseTrace:
-    """The walk that ``spec`` names, or another of its kind: of a recorded one a later part, placed anew.
+    """The walk named by ``spec``, or a variation: for a recorded walk, a later part of it.
 
-    ``window_us`` is how long it is looked at. Raises :class:`TraceError`.
+    ``window_us`` is the length of the play. Raises :class:`TraceError`.
     """
     if not seed:
         return open_poses(spec, focus, window_us=window_us)

@@ -1,4 +1,4 @@
-"""One client's whole session in virtual time: server core, links, client core, and the score of every frame."""
+"""A client's whole session in virtual time: server core, links, client core, and a score for every frame."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ if TYPE_CHECKING:
 ESTIMATORS = ("oracle", "measured")
 
 LPIPS_EVERY = 15
-"""LPIPS takes a hundred times as long as the other figures together."""
+"""Interval of frames for LPIPS, which takes a hundred times as long as all other figures together."""
 
 Watcher = Callable[[PresentedFrame, dict[str, Any]], None]
 
 
 @dataclass(frozen=True)
 class Cut:
-    """The connection breaks at ``at_us``; attempts to open another fail until ``until_us``."""
+    """The connection breaks at ``at_us``. Attempts to reconnect fail until ``until_us``."""
 
     at_us: int
     until_us: int
@@ -55,7 +55,7 @@ class Cut:
 
 @dataclass(frozen=True)
 class Scenario:
-    """What is streamed, over what, to whom. Everything that decides the result."""
+    """Complete description of a play; it determines the result."""
 
     bundle: Path
     trace: str
@@ -67,26 +67,28 @@ class Scenario:
     queue_bytes: int | None = None
     scored: bool = True
     score_every: int = 1
-    """Only every so many-th frame is compared with the truth."""
+    """Every n-th frame is compared with the truth."""
     cuts: tuple[Cut, ...] = ()
-    """When the connection breaks, in order."""
+    """Interruptions of the connection, in order."""
     draw_us: int = 0
-    """Time that the client takes to draw a frame. With some, frames come late and are dropped, as on a slow machine."""
+    """Time that the client takes to draw a frame. If it is not 0, frames can be late and are dropped, as on a slow
+    machine.
+    """
     lpips: str = ""
-    """Weights file of LPIPS; with one, every :data:`LPIPS_EVERY`-th frame is judged by it too."""
+    """Weights file of LPIPS. If given, LPIPS is computed for every :data:`LPIPS_EVERY`-th frame."""
     seed: int = 0
-    """Which walk and which part of the trace (:mod:`cags_bench.sim.seeds`); 0: as they are named."""
+    """Selects the walk and the part of the trace (:mod:`cags_bench.sim.seeds`); 0: as named."""
 
     def __post_init__(self) -> None:
         if self.estimator not in ESTIMATORS:
             raise ConfigError(f"estimator = {self.estimator!r} must be one of {', '.join(ESTIMATORS)}")
 
     def link(self) -> Trace:
-        """The trace, from where the seed says. Raises :class:`TraceError`."""
+        """The trace, from the start given by the seed. Raises :class:`TraceError`."""
         return trace_of(open_trace(self.trace), self.seed)
 
     def truth(self) -> LastTruth:
-        """What draws the true pictures. Raises :class:`BundleError`."""
+        """Renderer of the true pictures. Raises :class:`BundleError`."""
         return LastTruth(open_bundle(self.bundle), self.client)
 
 
@@ -95,52 +97,52 @@ FIRST_SCORES = "psnr_restored_db", "lpips_restored"
 
 @dataclass
 class SessionResult:
-    """Records of the presented frames, and their summary."""
+    """Records of the presented frames, and a summary."""
 
     frames: list[dict[str, Any]]
     summary: dict[str, Any]
     spent: Spent = field(default_factory=Spent)
-    """Times of this machine: the one part of a result that two runs do not share."""
+    """Times on this machine: the only part of a result that differs between runs."""
 
 
 def simulate(scenario: Scenario, watch: Watcher | None = None, truth: LastTruth | None = None) -> SessionResult:
-    """Play ``scenario`` to its end. ``watch`` sees every presented frame and its record.
+    """Play ``scenario`` to its end. ``watch`` is called with every presented frame and its record.
 
-    ``truth`` draws the true pictures, of :meth:`Scenario.truth`: give it where ``watch`` looks at them, too. Each is
-    drawn once then. Deterministic: two runs give the same result. Raises :class:`CagsError` when a part fails.
+    ``truth`` renders the true pictures (:meth:`Scenario.truth`). Pass it if ``watch`` needs them too, so that each is
+    drawn once. Deterministic: two runs give the same result. Raises :class:`CagsError` if a part fails.
     """
     with open_bundle(scenario.bundle) as reader:
         return _Simulation(scenario, scenario.link(), _library(scenario, reader), truth).run(watch)
 
 
 def watched_by(watchers: Sequence[Watcher]) -> Watcher | None:
-    """One watcher that stands for all of ``watchers``; None where there are none."""
+    """One watcher that calls all ``watchers``; None if there are none."""
     if not watchers:
         return None
 
     def watch(presented: PresentedFrame, record: dict[str, Any]) -> None:
-        for one in watchers:
-            one(presented, record)
+        for watcher in watchers:
+            watcher(presented, record)
 
     return watch
 
 
 STEP_TOGETHER_US, STEP_ON_CORES_US = 10_000, 1_000
-"""Sessions that are played together are at most so far apart; less where they wait for each other's work."""
+"""Longest difference between the clocks of sessions played together; shorter if they share cores."""
 
 
 def simulate_together(
     scenarios: Sequence[Scenario], apart_us: int = 0, cores: int | None = None
 ) -> list[SessionResult]:
-    """Play sessions of one bundle side by side, from one server: what it has decoded or loaded for one, all share.
+    """Play sessions of one bundle from one server, which shares its decoded and loaded data among them.
 
-    Each joins ``apart_us`` after the one before and has a clock of its own, which begins then. ``cores``: the server's
-    work takes the time that so many take for it (:mod:`.workers`); None: no time.
-    Raises :class:`CagsError` when a part of any fails, :class:`ConfigError` where they are not of one bundle.
+    Each session has its own clock and joins ``apart_us`` after the previous one. ``cores``: the server's work takes
+    as long as on this many cores (:mod:`.workers`); None: it takes no time. Raises :class:`CagsError` if a part fails,
+    :class:`ConfigError` if the bundles differ.
     """
     bundles = {str(scenario.bundle) for scenario in scenarios}
     if len(bundles) != 1:
-        raise ConfigError(f"{len(bundles)} bundles: sessions are played together from one")
+        raise ConfigError(f"{len(bundles)} bundles: sessions played together need the same one")
     with open_bundle(Path(bundles.pop())) as reader:
         library = _library(scenarios[0], reader)
         shared = None if cores is None else Cores(cores)
@@ -170,23 +172,23 @@ class _Simulation:
         truth: LastTruth | None = None,
         on: tuple[Cores, int] | None = None,
     ) -> None:
-        """``on``: the cores that do the server's work, and by how much later than theirs this session's clock began."""
+        """``on``: the cores that run the server's work, and the delay of this session's clock against theirs."""
         self.scenario, self.trace, self.reader, self.library = scenario, trace, library.reader, library
         self.cuts = deque(scenario.cuts)
         self.unreachable_until_us = 0
         self.usage, self.spent = Usage(), Spent()
         self.renderer = None if on is None else SharedRenderer(*on, self.spent)
-        self._rendering: tuple[int, FrameRender] | None = None  # done when
-        self.dropped_bytes = 0  # of connections that were cut
+        self._rendering: tuple[int, FrameRender] | None = None  # (time of completion, outcome)
+        self.dropped_bytes = 0  # by connections that were cut
         self.server = self._connection(0)
         self.player = Player(
             ClientSession(now_us=0), self._client_settings(), self._poses(), now_us=0, near=library.manifest.near
         )
-        self._drawing: tuple[int, Present, PresentedFrame] | None = None  # done when
+        self._drawing: tuple[int, Present, PresentedFrame] | None = None  # (time of completion, action, frame)
         self.world = World(self.server, self.player, *self._directions(), self._work, alarm=self._alarm_us)
         self.truth = (truth or scenario.truth()) if scenario.scored else None
         self.frames: list[dict[str, Any]] = []
-        self._first: dict[str, float] = {}  # scores of the first picture, where it came before the first frame
+        self._first: dict[str, float] = {}  # scores of the first picture, if it was shown before playback
         self._flicker = FlickerScore()
         self._lpips = _lpips(scenario)
         self._watch: Watcher | None = None
@@ -198,7 +200,7 @@ class _Simulation:
         return self.result()
 
     def play_until(self, now_us: int | None) -> None:
-        """Play to the end, or until ``now_us`` has come."""
+        """Play to the end, or until ``now_us``."""
         clip_us = round(self.reader.manifest.frames * 1e6 / self.reader.manifest.fps)
         join_us = round(self.scenario.client.join_timeout * 1e6)
         limit_us = clip_us + join_us + 10_000_000
@@ -209,7 +211,7 @@ class _Simulation:
             raise self.player.error
 
     def result(self) -> SessionResult:
-        """Result of a play that has ended."""
+        """Result of a finished play."""
         return SessionResult(self.frames, self._summary(), self.spent)
 
     def _connection(self, now_us: int) -> MeteredConnection:
@@ -228,7 +230,7 @@ class _Simulation:
         return made
 
     def _directions(self) -> tuple[Direction, Direction]:
-        """Towards the client and back; nothing of an earlier connection is on its way."""
+        """Links to the client and back, empty."""
         delay_us = self.scenario.delay_us
         down = LinkSettings(delay_us=delay_us, queue_bytes=self.scenario.queue_bytes)
         return (
@@ -237,12 +239,12 @@ class _Simulation:
         )
 
     def _alarm_us(self) -> int | None:
-        """The next cut, or the end of the drawing under way."""
+        """Time of the next cut, or when drawing or rendering ends."""
         times = [cut.at_us for cut in self.cuts] + [each[0] for each in (self._drawing, self._rendering) if each]
         return min(times, default=None)
 
     def _connections(self, now_us: int) -> bool:
-        """Break the connection when it is time; open another when the player wants one."""
+        """Break the connection when it is due, and reconnect when the player asks for it."""
         busy = False
         if self.cuts and self.cuts[0].at_us <= now_us:
             self.unreachable_until_us = self.cuts.popleft().until_us
@@ -262,7 +264,7 @@ class _Simulation:
         return busy
 
     def _client_settings(self) -> ClientSettings:
-        """Virtual time has no late frames, unless drawing takes some of it, and nobody who looks between them."""
+        """Nothing is late in virtual time unless drawing takes time, and no display needs frames in between."""
         between = OFF if self.scenario.client.interpolate == AUTO else self.scenario.client.interpolate
         return replace(self.scenario.client, drop_late=self.scenario.draw_us > 0, interpolate=between)
 
@@ -298,14 +300,14 @@ class _Simulation:
         return busy
 
     def _present(self, action: Present, now_us: int) -> None:
-        """Draw a frame; a picture that nobody looks at is not restored."""
+        """Draw a frame. It is restored only if it is scored or watched."""
         scored = self._scores(action.frame) or self._watch is not None
         self.player.live.restore = self.scenario.client.restore if scored else "none"
         self._drawing = now_us + self.scenario.draw_us, action, self.spent.presenting(action.run)
         self._drawn(now_us)
 
     def _drawn(self, now_us: int) -> bool:
-        """Show the frame whose drawing is done; False where there is none."""
+        """Show the frame whose drawing is complete; False if there is none."""
         if self._drawing is None or self._drawing[0] > now_us:
             return False
         (_, action, result), self._drawing = self._drawing, None
@@ -363,5 +365,5 @@ def _lpips(scenario: Scenario) -> Lpips | None:
 
 
 def make_link_state(name: str, trace: Trace) -> LinkState:
-    """``oracle`` knows the trace, as in the paper; ``measured`` learns from acknowledgements."""
+    """``oracle`` knows the trace, as in the paper; ``measured`` estimates from acknowledgements."""
     return OracleLink(trace) if name == "oracle" else MeasuredLink()

@@ -1,4 +1,4 @@
-"""What the two sides of a session take of the processor: the server for its references, the client for its frames."""
+"""Processor time of both sides of a session: references on the server, frames on the client."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class ReferenceCost:
-    """Processor time of one reference, over all its threads, milliseconds."""
+    """Processor time of one reference over all threads, milliseconds."""
 
     truth_ms: float
-    """The scene's own splats drawn, with their contributions."""
+    """Rendering the source splats, with contributions."""
     mirror_ms: float
-    """The client's splats brought up to date and drawn; about 0 where references do not compare."""
+    """Updating and rendering the client's splats; about 0 if references are not differences."""
     coding_ms: float
     wall_ms: float
-    """All of it by the clock on the wall."""
+    """Wall-clock time of all stages."""
 
     @property
     def total_ms(self) -> float:
@@ -34,7 +34,7 @@ class ReferenceCost:
 
 @dataclass(frozen=True, slots=True)
 class Playing:
-    """An account at the moment of the first frame's display: joining is over."""
+    """State of an account when the first frame is displayed and joining is complete."""
 
     began_us: int
     references: int
@@ -47,29 +47,29 @@ class Spent:
 
     references: list[ReferenceCost] = field(default_factory=list)
     serving_ms: float = 0.0
-    """Processor time of the server beside its references: reading, choosing tiles, sending. Sockets are not in it."""
+    """Server's processor time apart from references: reading, choosing tiles, sending; without sockets."""
     mirror_bytes: int = 0
-    """Most that the mirror of the client took."""
+    """Largest size of the mirror of the client."""
     references_late: int = 0
-    """Frames whose reference was under way and was not there in time."""
+    """Number of frames whose reference was being rendered but was late."""
     light: int = 0
-    """References that were coded lightly."""
+    """Number of references with light coding."""
     decoding_ms: float = 0.0
     """Processor time of the client's decoding in the whole session."""
     presenting_ms: float = 0.0
     frames: int = 0
-    """That were presented."""
+    """Number of presented frames."""
     playing: Playing | None = None
-    """Since when media is displayed; None before."""
+    """State at the start of playback; None before it."""
     last_job_us: int = 0
-    """When the server's last job was done, by the session's clock."""
+    """When the server's last job ended, on the session's clock."""
 
     def begins_play(self, now_us: int) -> None:
-        """The first media frame is displayed; later calls change nothing."""
+        """Called when the first media frame is displayed; later calls have no effect."""
         self.playing = self.playing or Playing(now_us, len(self.references), self.serving_ms)
 
     def job(self, job: FrameJob, now_us: int) -> FrameRender:
-        """Run a server's job."""
+        """Run a job of the server."""
         self.last_job_us = now_us
         wall = time.perf_counter()
         done = job.run(time.process_time_ns)
@@ -80,7 +80,7 @@ class Spent:
         return done
 
     def decoding(self, work: Callable[[], Result]) -> Result:
-        """Run a client's decoding."""
+        """Run decoding of the client."""
         began = time.process_time()
         result = work()
         self.decoding_ms += (time.process_time() - began) * 1e3
@@ -96,22 +96,22 @@ class Spent:
 
     @property
     def server_ms_a_frame(self) -> float:
-        """Mean of the server's processor time for references over presented frames."""
-        return sum(one.total_ms for one in self.references) / max(self.frames, 1)
+        """Mean server time for references per presented frame."""
+        return sum(reference.total_ms for reference in self.references) / max(self.frames, 1)
 
     @property
     def client_ms_a_frame(self) -> float:
-        """Mean of the client's processor time, decoding and drawing."""
+        """Mean client time for decoding and drawing per presented frame."""
         return (self.decoding_ms + self.presenting_ms) / max(self.frames, 1)
 
 
 class MeteredConnection(Connection):
-    """A connection whose every call is charged to an account; it does what any other does."""
+    """A connection that measures the processor time of every call."""
 
     spent: Spent
 
     def receive(self, data: Buffer, now_us: int) -> None:
-        """See :class:`Connection`, as all of these."""
+        """See :class:`Connection`; so for all methods here."""
         self._charged(lambda: super(MeteredConnection, self).receive(data, now_us))
 
     def data_to_send(self, now_us: int, max_bytes: int | None = None) -> list[bytes]:
@@ -119,7 +119,7 @@ class MeteredConnection(Connection):
         return self._charged(lambda: super(MeteredConnection, self).data_to_send(now_us, max_bytes))
 
     def handle_timer(self, now_us: int) -> None:
-        """Do what is due."""
+        """See :class:`Connection`."""
         self._charged(lambda: super(MeteredConnection, self).handle_timer(now_us))
 
     def next_job(self, now_us: int) -> FrameJob | None:
@@ -127,7 +127,7 @@ class MeteredConnection(Connection):
         return self._charged(lambda: super(MeteredConnection, self).next_job(now_us))
 
     def job_done(self, render: FrameRender, now_us: int) -> None:
-        """A job has ended well: the rate policy chooses."""
+        """A job has succeeded; the rate policy chooses tiles."""
         self._charged(lambda: super(MeteredConnection, self).job_done(render, now_us))
         self.spent.mirror_bytes = max(self.spent.mirror_bytes, self.stats.mirror_bytes)
         self.spent.references_late = self.stats.references_late

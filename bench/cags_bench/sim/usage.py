@@ -1,4 +1,4 @@
-"""What became of the bytes that arrived: shown in some picture, or sent for nothing."""
+"""Accounts for the bytes that arrived: shown in some picture, or wasted."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ LayerKey = tuple[int, int, int]
 
 
 class Usage:
-    """Account of payload bytes by layer and by reference picture.
+    """Account of payload bytes per layer and per reference picture.
 
-    A layer is used once a picture is presented in which a splat of its tile is visible, at that LoD or a higher one; a
-    reference picture once a frame was restored from it. What came twice counts as wasted the second time.
+    A layer is used once a presented picture shows a splat of its tile at that LoD or a higher one; a reference picture
+    once a frame was restored from it. Duplicates count as wasted.
     """
 
     def __init__(self) -> None:
         self._layers: dict[LayerKey, int] = {}
-        self._references: dict[int, int] = {}  # identity in order of arrival -> bytes
-        self._numbers: dict[int, int] = {}  # sequence number -> identity of the newest picture of that number
-        self._used_layers: dict[tuple[int, int], int] = {}  # source frame, tile -> LoDs seen
+        self._references: dict[int, int] = {}  # index in order of arrival -> bytes
+        self._numbers: dict[int, int] = {}  # sequence number -> index of its newest picture
+        self._used_layers: dict[tuple[int, int], int] = {}  # source frame, tile -> LoDs shown
         self._used_references: set[int] = set()
         self._arrived_bytes = self._twice_bytes = 0
 
     def arrived(self, events: Iterable[DataEvent]) -> None:
-        """Messages that are about to be decoded."""
+        """Messages that will be decoded next."""
         for event in events:
             match event:
                 case ev.TileReceived(message, payload):
@@ -39,7 +39,7 @@ class Usage:
                         self._twice_bytes += size if key in self._layers else 0
                         self._layers[key] = size
                 case ev.ReferenceReceived(reference, payload):
-                    if not payload:  # it says nothing
+                    if not payload:  # a reference of the kind "nothing"
                         continue
                     self._arrived_bytes += len(payload)
                     self._numbers[reference.seq] = len(self._references)
@@ -53,7 +53,7 @@ class Usage:
             self._used_references.add(self._numbers[presented.reference.seq])
 
     def wasted_bytes(self, dropped_bytes: int) -> int:
-        """Payload bytes that served no picture, with the ``dropped_bytes`` of messages that never arrived whole."""
+        """Payload bytes that no picture used, plus the ``dropped_bytes`` of messages that never completed."""
         layers = sum(
             size for (frame, tile, lod), size in self._layers.items() if lod >= self._used_layers.get((frame, tile), 0)
         )

@@ -1,8 +1,7 @@
-"""A server's processor in virtual time: sessions that are played together share it, and what they cause takes time.
+"""A server's processor in virtual time, shared by the sessions that are played together.
 
-A core does one job after the other. A job takes the processor time that it was measured to take, with what its session
-has cost the server beside its jobs since the one before. So figures are of a machine that has nothing else to do, while
-this one may have.
+Each core runs one job at a time. A job takes its measured processor time, plus the session's other costs on the server
+since its previous job. Results therefore describe an otherwise idle machine, even if this one is busy.
 """
 
 from __future__ import annotations
@@ -15,28 +14,28 @@ from cags_server.reference.render_slots import RenderSlots
 
 
 class Cores:
-    """So many cores, and the places at the renderer that they are."""
+    """A number of cores, and the render slots that they provide."""
 
     def __init__(self, count: int) -> None:
         self.slots = RenderSlots(count)
         self._free_us = [0.0] * count
 
     def taken_until_us(self, now_us: int, took_us: float) -> int:
-        """When work that begins ``now_us`` at the earliest, and takes a core ``took_us``, is done."""
+        """Completion time of work that takes a core ``took_us`` and begins no earlier than ``now_us``."""
         first = min(range(len(self._free_us)), key=self._free_us.__getitem__)
         self._free_us[first] = max(self._free_us[first], now_us) + took_us
         return round(self._free_us[first])
 
 
 class SharedRenderer(RenderSlots):
-    """The places as one session sees them, whose clock began ``later_us`` than the server's."""
+    """The render slots as seen by one session, whose clock began ``later_us`` after the server's."""
 
     def __init__(self, cores: Cores, later_us: int, spent: Spent) -> None:
         self._cores, self._shared, self._later_us, self._spent = cores, cores.slots, later_us, spent
         self._charged_ms = 0.0
 
     def run(self, job: FrameJob, now_us: int) -> tuple[int, FrameRender]:
-        """The outcome of a job, and when it is there, by the session's clock."""
+        """The result of a job, and its completion time on the session's clock."""
         render = self._spent.job(job, now_us)
         beside_ms, self._charged_ms = self._spent.serving_ms - self._charged_ms, self._spent.serving_ms
         took_us = self._spent.references[-1].total_ms * 1e3
@@ -46,21 +45,21 @@ class SharedRenderer(RenderSlots):
 
     @property
     def light(self) -> bool:  # type: ignore[override]
-        """See :class:`RenderSlots`, as all of these."""
+        """See :class:`RenderSlots`; so for all methods here."""
         return self._shared.light
 
     def may(self, name: str, now_us: int, wait_us: float = 0.0, lacking: float | None = None) -> bool:
-        """Whether a client may have a reference rendered."""
+        """Whether a reference may be rendered for a client."""
         return self._shared.may(name, now_us + self._later_us, wait_us, lacking)
 
     def begun(self, name: str, now_us: int, lacking: float | None = None, *, look: bool = False) -> None:
-        """One is being rendered."""
+        """Rendering of a reference begins."""
         self._shared.begun(name, now_us + self._later_us, lacking, look=look)
 
     def ended(self, now_us: int, took_us: float | None = None, *, light: bool = False) -> None:
-        """One came back."""
+        """Rendering of a reference has ended."""
         self._shared.ended(now_us + self._later_us, took_us, light=light)
 
     def left(self, name: str) -> None:
-        """A client is gone."""
+        """A client has left."""
         self._shared.left(name)

@@ -1,8 +1,8 @@
 """Two peers and two links under one virtual clock.
 
-The peers are the very cores that the processes run (:class:`cags_server.session.connection.Connection`,
-:class:`cags_client.playback.player.Player`); only the outermost shell differs. Work takes no virtual time, nothing is
-dropped for being late on a busy machine, and two runs are byte-identical.
+The peers are the same cores that the processes run (:class:`cags_server.session.connection.Connection`,
+:class:`cags_client.playback.player.Player`); only the outermost shell differs. Work takes no virtual time, a busy
+machine makes nothing late, and two runs are byte-identical.
 """
 
 from __future__ import annotations
@@ -16,28 +16,28 @@ from cags_common.errors import NetworkError
 from cags_shaper.link import WEBSOCKET_OVERHEAD_BYTES, Link, tcp_wire_bytes
 
 MAX_STEPS_WITHOUT_TIME = 10_000
-"""A peer that always has something to do at one instant is broken; better to say so than to hang."""
+"""A peer that always has work at one instant is broken; raising an error is better than hanging."""
 
 
 class Peer(Protocol):
-    """What the world drives: a sans-IO core and the work that it hands out."""
+    """A peer of the world: a sans-IO core and its jobs."""
 
     def receive(self, data: bytes, now_us: int) -> None:
-        """Take one message."""
+        """Receive one message."""
 
     def data_to_send(self, now_us: int) -> list[bytes]:
         """Messages to write now."""
 
     def next_timer_us(self) -> int | None:
-        """When :meth:`handle_timer` wants to be called; None: not by time."""
+        """When :meth:`handle_timer` is due; None if no timer is set."""
 
     def handle_timer(self, now_us: int) -> None:
-        """Do what is due."""
+        """Do what is due at ``now_us``."""
 
 
 @dataclass
 class Direction:
-    """One direction of the connection: what the sender has written, and the link that carries it."""
+    """One direction of the connection: the sender's backlog and the link."""
 
     link: Link[bytes]
     on_delivery: Callable[[bytes, int], None]
@@ -45,18 +45,18 @@ class Direction:
     _backlog: deque[bytes] = field(default_factory=deque)
 
     def write(self, messages: list[bytes], now_us: int) -> bool:
-        """Take messages and push what the link accepts. True when there was anything to take."""
+        """Add messages to the backlog and push as many as the link accepts. True if there were any."""
         self._backlog.extend(messages)
         self._push(now_us)
         return bool(messages)
 
     @property
     def congested(self) -> bool:
-        """Whether the sender's socket is full: a reliable stream waits where a datagram would be lost."""
+        """Whether the sender's socket is full: a stream waits where datagrams would be lost."""
         return bool(self._backlog)
 
     def deliver(self, now_us: int) -> bool:
-        """Hand over what has arrived by ``now_us``; True when anything had."""
+        """Deliver what has arrived by ``now_us``; True if anything has."""
         arrived = self.link.pop_due(now_us)
         for data in arrived:
             self.on_delivery(data, now_us)
@@ -89,23 +89,23 @@ class World:
         *,
         alarm: Callable[[], int | None] = lambda: None,
     ) -> None:
-        """``work(now_us)`` runs whatever jobs the peers have ready and returns whether there was any.
+        """``work(now_us)`` runs the jobs that the peers have ready, and returns whether there were any.
 
-        It may exchange peers and directions for others; ``alarm()`` says when it wants to be called at the latest.
+        It may replace peers and directions. ``alarm()`` returns when it must be called next at the latest.
         """
         self.server, self.client, self.down, self.up = server, client, down, up
         self._work, self._alarm = work, alarm
         self.now_us = 0
 
     def run(self, finished: Callable[[], bool], limit_us: int) -> None:
-        """Advance until ``finished()``. Raises :class:`NetworkError` on a standstill or past ``limit_us``."""
+        """Advance until ``finished()``. Raises :class:`NetworkError` if nothing is due, or after ``limit_us``."""
         while not finished():
             self._settle()
             if finished():
                 return
             upcoming = self._next_us()
             if upcoming is None:
-                raise NetworkError(f"the simulated stream stands still at {self.now_us / 1e6:.3f} s; nothing is due")
+                raise NetworkError(f"the simulated stream is stuck at {self.now_us / 1e6:.3f} s: nothing is due")
             if upcoming > limit_us:
                 raise NetworkError(
                     f"the simulated stream did not end within {limit_us / 1e6:.1f} s; give the link more capacity"
@@ -113,11 +113,11 @@ class World:
             self.now_us = max(self.now_us, upcoming)
 
     def _settle(self) -> None:
-        """Exchange and work until nothing more happens at this instant."""
+        """Exchange messages and run jobs until nothing more happens at this instant."""
         for _ in range(MAX_STEPS_WITHOUT_TIME):
             if not self._step():
                 return
-        raise NetworkError(f"the simulated peers do not come to rest at {self.now_us / 1e6:.3f} s")
+        raise NetworkError(f"the simulated peers never become idle at {self.now_us / 1e6:.3f} s")
 
     def _step(self) -> bool:
         now = self.now_us

@@ -1,1 +1,1 @@
-"""``cags-bench stream``: one scene over one trace, in virtual time."""
+"""``cags-bench stream``: plays one scene over one trace in virtual time."""

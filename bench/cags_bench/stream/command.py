@@ -1,4 +1,4 @@
-"""``cags-bench stream``: a scene or bundle over a trace, in virtual time, every frame scored."""
+"""``cags-bench stream``: plays a scene or bundle over a trace in virtual time and scores every frame."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from cags_bench.stream.settings import add_arguments, load
 __all__ = ["EXAMPLES", "SUMMARY", "add_arguments", "run", "show"]
 
 SUMMARY = (
-    "Stream a scene or a ready bundle over a network trace in virtual time, and score every frame. Two runs print the "
-    "same."
+    "Stream a scene or a bundle over a network trace in virtual time, and score every frame. Two runs print the "
+    "same results."
 )
 
 EXAMPLES = """\
@@ -24,7 +24,7 @@ EXAMPLES = """\
 
 
 def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """Yield a line a play, and the summary."""
+    """Yield one line per play, and the summary."""
     settings = load(arguments)
     from cags_bench.stream.experiment import stream_lines
 
@@ -32,7 +32,7 @@ def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
 
 
 def show(lines: Iterable[dict[str, Any]], stream: IO[str]) -> None:
-    """Print the lines of :func:`run` for people."""
+    """Print the lines of :func:`run` as text."""
     from cags_bench.stream.tables import print_plays
 
     print_plays(lines, stream)

@@ -1,4 +1,4 @@
-"""The experiment behind ``cags-bench stream``: one play, plays over several seeds, or two settings compared."""
+"""The experiment behind ``cags-bench stream``: one play, plays over several seeds, or a comparison of two settings."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from cags_bench.stream.settings import StreamSettings, changed
 from cags_common.errors import ConfigError
 
 NO_DIFFERENCE = "no difference seen"
-UNSURE = "one seed tells nothing"
+UNSURE = "one seed is not enough"
 
 
 def stream_lines(settings: StreamSettings) -> Iterator[JsonObject]:
-    """A line a play, then the summary; a single play is its own summary.
+    """One line per play, then the summary; a single play is its own summary.
 
-    Raises :class:`CagsError`; what can be refused is refused before anything is encoded.
+    Raises :class:`CagsError`; invalid settings are refused before anything is encoded.
     """
     states = states_of(settings)
     seeds = settings.seed_list
-    plays = {state: [_play(what, state, seed, settings) for seed in seeds] for state, what in states}
-    for one in plays.values():
-        one[0].check()
+    plays = {state: [_play(one, state, seed, settings) for seed in seeds] for state, one in states}
+    for state_plays in plays.values():
+        state_plays[0].check()
     lines: dict[str, list[JsonObject]] = {state: [] for state in plays}
     for seed in seeds:
-        for state, one in plays.items():
-            line = one[seed].line()
+        for state, state_plays in plays.items():
+            line = state_plays[seed].line()
             if len(states) == len(seeds) == 1:
                 yield {**line, "benchmark": "stream", "checks": [], **provenance()}
                 return
@@ -40,19 +40,19 @@ def stream_lines(settings: StreamSettings) -> Iterator[JsonObject]:
         first, second = lines
         yield _compared(settings, (first, lines[first]), (second, lines[second]))
     else:
-        (some,) = lines.values()
-        found = {figure.key: _told(interval(values)) for figure in FIGURES if (values := _values(figure, some))}
-        yield summary("stream", [], seeds=len(seeds), figures=found, **_shared(some))
+        (only,) = lines.values()
+        found = {figure.key: _as_json(interval(values)) for figure in FIGURES if (values := _values(figure, only))}
+        yield summary("stream", [], seeds=len(seeds), figures=found, **_shared(only))
 
 
 def states_of(settings: StreamSettings) -> list[tuple[str, StreamSettings]]:
-    """Label and settings of each state that is played: one, or the two of ``compare``. Raises :class:`ConfigError`."""
+    """Label and settings of each state to play: one, or the two of ``compare``. Raises :class:`ConfigError`."""
     if not settings.compare:
         return [("", settings)]
     name, _, both = settings.compare.partition("=")
     values = [value.strip() for value in both.split(",")]
     if len(values) != 2 or not all(values) or values[0] == values[1]:
-        raise ConfigError(f"compare = {settings.compare!r} must be NAME=A,B with two values, such as abr=paper,utility")
+        raise ConfigError(f"compare = {settings.compare!r} must be NAME=A,B with two values, like abr=paper,utility")
     return [(value, changed(settings, name, value)) for value in values]
 
 
@@ -63,7 +63,7 @@ def _play(settings: StreamSettings, state: str, seed: int, whole: StreamSettings
 
 
 def _values(figure: Figure, lines: Sequence[Mapping[str, Any]]) -> list[float]:
-    """Of every play; empty where one of them lacks it."""
+    """Values of all plays; empty if a play lacks the figure."""
     values = [value for line in lines if (value := figure.of(line)) is not None]
     return values if len(values) == len(lines) else []
 
@@ -71,7 +71,7 @@ def _values(figure: Figure, lines: Sequence[Mapping[str, Any]]) -> list[float]:
 def _compared(
     settings: StreamSettings, first: tuple[str, list[JsonObject]], second: tuple[str, list[JsonObject]]
 ) -> JsonObject:
-    """The summary of a comparison: what the second state has more than the first."""
+    """The summary of a comparison: differences of the second state from the first."""
     differences, checks = {}, []
     for figure in FIGURES:
         before, after = _values(figure, first[1]), _values(figure, second[1])
@@ -80,7 +80,7 @@ def _compared(
         found = interval([b - a for a, b in zip(before, after, strict=True)])
         verdict = verdict_of(figure, found)
         means = {state: math.fsum(values) / len(values) for state, values in ((first[0], before), (second[0], after))}
-        differences[figure.key] = {"means": means, "difference": _told(found), "verdict": verdict}
+        differences[figure.key] = {"means": means, "difference": _as_json(found), "verdict": verdict}
         if figure.better:
             name = f"{figure.name}: {second[0]} is not worse than {first[0]}"
             checks.append(check(name, "not surely worse", f"{found}", not verdict.startswith("worse")))
@@ -90,7 +90,7 @@ def _compared(
 
 
 def verdict_of(figure: Figure, found: Interval) -> str:
-    """A difference in words."""
+    """Verdict on a difference, in words."""
     if not math.isfinite(found.low) or not math.isfinite(found.high):
         return UNSURE
     if found.low <= 0.0 <= found.high:
@@ -101,7 +101,7 @@ def verdict_of(figure: Figure, found: Interval) -> str:
     return "more" if higher else "less"
 
 
-def _told(found: Interval) -> JsonObject:
+def _as_json(found: Interval) -> JsonObject:
     return {"mean": found.mean, "low": found.low, "high": found.high}
 
 

@@ -1,4 +1,4 @@
-"""What is told of a play: the figures of a row, which way each is better, and how people read them."""
+"""Figures of a play: which direction is better, and how they are printed."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 HIGHER, LOWER, EITHER = 1, -1, 0
-"""Which way a figure is better; what the stream does with the link is better neither way."""
+"""Direction in which a figure is better; EITHER for figures that only describe the use of the link."""
 
 
 def _plain(digits: int) -> Callable[[float], str]:
-    return lambda value: f"{round(value, digits) + 0.0:.{digits}f}"  # no minus before a nought
+    return lambda value: f"{round(value, digits) + 0.0:.{digits}f}"  # no minus sign before zero
 
 
 def _scaled(factor: float, digits: int) -> Callable[[float], str]:
@@ -27,10 +27,10 @@ class Figure:
     key: str
     title: str
     unit: str
-    """And what else tells it from a figure of the same title."""
+    """Unit, and what distinguishes the figure from others of the same title."""
     better: int
     text: Callable[[float], str]
-    """The value as people read it, in that unit."""
+    """Formats a value in that unit."""
 
     @property
     def name(self) -> str:
@@ -38,12 +38,12 @@ class Figure:
         return f"{self.title} [{self.unit}]" if self.unit else self.title
 
     def of(self, line: Mapping[str, Any]) -> float | None:
-        """Its value in a result line; None where it was not measured."""
+        """The value in a result line; None if it was not measured."""
         value = line.get(self.key)
         return None if value is None or not math.isfinite(value) else float(value)
 
     def shown(self, line: Mapping[str, Any]) -> str:
-        """A cell of a table."""
+        """The value as a cell of a table."""
         value = self.of(line)
         return "" if value is None else self.text(value)
 
@@ -82,6 +82,6 @@ GROUPS: dict[str, tuple[Figure, ...]] = {
         Figure("level_switches", "switches", "of level", LOWER, _plain(0)),
     ),
 }
-"""Tables of a report, and the figures in their columns."""
+"""Tables of a report, with the figures in their columns."""
 
 FIGURES = tuple(figure for group in GROUPS.values() for figure in group)

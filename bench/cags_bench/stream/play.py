@@ -1,4 +1,4 @@
-"""One play of ``cags-bench stream``: what its settings describe, simulated, scored and written where asked."""
+"""One play of ``cags-bench stream``: simulated, scored, and written to files if requested."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ from cags_shaper.trace import open_trace
 
 @dataclass(frozen=True)
 class Play:
-    """One play: what is played, and what tells it from the others of a run."""
+    """One play: its settings, its seed, and a label that distinguishes it from others of the run."""
 
     settings: StreamSettings
     seed: int = 0
     label: str = ""
-    """Short, for files and rows; empty where there is only one play."""
+    """Short label for files and rows; empty if there is only one play."""
 
     def check(self) -> None:
-        """Raise :class:`ConfigError` for names that nothing answers to, before a scene is encoded for them."""
+        """Raise :class:`ConfigError` for unknown names before a scene is encoded."""
         server, client = self.settings.server, self.settings.client
         create_rate_policy(server.abr)
         create_predictor(server.predictor)
@@ -48,7 +48,7 @@ class Play:
         open_trace(self.settings.trace)
 
     def line(self) -> dict[str, Any]:
-        """Play, write what is to be written, and return the figures. Raises :class:`CagsError`."""
+        """Play, write the requested files, and return the figures. Raises :class:`CagsError`."""
         scenario, settings = self.scenario(), self.settings
         truth = scenario.truth()
         wanted = [metric for metric in settings.metrics if metric not in lacking(settings.metrics)]
@@ -69,11 +69,11 @@ class Play:
                 self._write_film(film, result)
         if settings.out:
             write_report(self._beside(Path(settings.out)), scenario, result)
-        told = {key: value for key, value in asdict(settings).items() if key not in NO_FIGURE}
-        return line | {"settings": told, "seed": self.seed, "left_out": lacking(settings.metrics)}
+        played_settings = {key: value for key, value in asdict(settings).items() if key not in NO_FIGURE}
+        return line | {"settings": played_settings, "seed": self.seed, "left_out": lacking(settings.metrics)}
 
     def scenario(self) -> Scenario:
-        """The scenario that the settings describe; a scene that has not been encoded is encoded now."""
+        """The scenario of the settings. Encodes the scene if it is not in the cache."""
         settings = self.settings
         bundle, duration = self._bundle()
         return Scenario(
@@ -91,14 +91,14 @@ class Play:
         )
 
     def _trace(self) -> str:
-        """The trace, its rates times the share."""
+        """The trace, with its rates scaled by the share."""
         trace, share = self.settings.trace, self.settings.share
         if share == 1.0:
             return trace
         return str(scaled_trace(trace, share, seconds=open_trace(trace).duration_us / 1e6))
 
     def _bundle(self) -> tuple[Path, float | None]:
-        """The bundle, and how much of it is played in seconds; None: all."""
+        """The bundle, and the length to play in seconds; None: all of it."""
         settings = self.settings
         if not is_bundle(settings.scene):
             encode = EncodeSettings(frames=settings.frames or DEFAULT_FRAMES)
@@ -106,12 +106,12 @@ class Play:
                 encode = replace(encode, quantiser=settings.quantiser)
             return cached_bundle(settings.scene, settings.cache, encode), None
         if settings.quantiser:
-            raise ConfigError(f"quantiser = {settings.quantiser!r}: {settings.scene} is encoded; leave it out")
+            raise ConfigError(f"quantiser = {settings.quantiser!r}: {settings.scene} is encoded already; leave it out")
         bundle = Path(settings.scene)
         with open_bundle(bundle) as reader:
             count, fps = reader.manifest.frames, reader.manifest.fps
         if settings.frames > count:
-            raise ConfigError(f"frames = {settings.frames}: {settings.scene} has {count}; ask for fewer")
+            raise ConfigError(f"frames = {settings.frames}: {settings.scene} has {count}; give fewer")
         return bundle, settings.frames / fps if settings.frames else None
 
     @contextmanager
@@ -137,14 +137,14 @@ class Play:
             write_strip(film, settings.strip, [shown.get(frame) for frame in film.frames], path)
 
     def _beside(self, path: Path) -> Path:
-        """``path``, or where there are several plays, one for this."""
+        """``path``, or a path for this play if there are several."""
         if not self.label:
             return path
         return path / self.label if path.suffix != ".mp4" else path.with_stem(f"{path.stem}-{self.label}")
 
 
 def rate_and_end(scenario: Scenario) -> tuple[float, int]:
-    """Frames a second of the scenario's bundle, and the media frame before which the play ends."""
+    """Frame rate of the scenario's bundle, and the media frame before which the play ends."""
     with open_bundle(scenario.bundle) as reader:
         count, fps = reader.manifest.frames, reader.manifest.fps
     client = scenario.client
@@ -153,7 +153,7 @@ def rate_and_end(scenario: Scenario) -> tuple[float, int]:
 
 
 def write_report(out: Path, scenario: Scenario, result: SessionResult) -> None:
-    """Frames, plot over time and a strip of pictures."""
+    """Write frames, a plot over time and a strip of pictures."""
     from cags_bench.stream_report import capacity_series, plot_stream, telling_frame, write_strip
 
     (out / "frames.jsonl").write_text("".join(dump(line) + "\n" for line in result.frames), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Settings of a session in virtual time: its own, and all those of server and client that matter there."""
+"""Settings of a session in virtual time: its own, and those of server and client that apply."""
 
 from __future__ import annotations
 
@@ -17,27 +17,25 @@ from cags_common.settings import add_flags, add_settings, check_settings, load_s
 from cags_server.settings import ServerSettings, ServeSettings
 
 DEFAULT_FRAMES = 60
-"""Media frames of a scene that are encoded and played."""
+"""Media frames that are encoded and played of a scene."""
 
 COMPARED_SEEDS = 3
-"""Plays of each of two compared settings."""
+"""Default number of plays of each of two compared settings."""
 
 UNREAL = frozenset(
     {"duration", "drop_late", "interpolate", "display_rate", "join_timeout", "reconnect_s", "token", "ca"}
 )
-"""Settings of the client without a meaning here: ``--frames`` is the duration, nothing is late, no network fails."""
+"""Client settings without effect here: ``--frames`` is the duration, nothing is late, and the network does not fail."""
 
 RENAMED = {"fov": "fov_policy"}
-"""Settings of the server whose name the client has for another thing, and what they are called here."""
+"""Server settings whose names the client uses for something else, and their names here."""
 
 
 @dataclass(frozen=True)
 class StreamSettings:
-    """What is played, over what, and what is told of it. Server and client are as shipped, unless told otherwise."""
+    """What is played over which link, and what is reported. Server and client have their defaults unless set here."""
 
-    scene: str = setting(
-        "procedural", "scene or ready bundle: a file, a folder, motion:PATH or procedural[:size=N,...]"
-    )
+    scene: str = setting("procedural", "scene or bundle: a file, a folder, motion:PATH or procedural[:size=N,...]")
     trace: str = setting("generated:lte-driving", "network trace: a file or generated:NAME")
     share: float = setting(1.0, "factor on the trace's bandwidth", low=1e-3, high=10)
     poses: str = setting("synthetic:walking", "head motion: a pose file or synthetic:NAME")
@@ -46,14 +44,14 @@ class StreamSettings:
     )
     seeds: int = setting(
         0,
-        f"plays, each with another walk and another part of the trace; 0: one, or {COMPARED_SEEDS} with --compare",
+        f"number of plays, each with another walk and part of the trace; 0: one, or {COMPARED_SEEDS} with --compare",
         low=0,
         high=1000,
     )
-    compare: str = setting("", "NAME=A,B: play with both values of a setting over the same seeds, and compare")
+    compare: str = setting("", "NAME=A,B: compare two values of a setting over the same seeds")
     estimator: str = setting("measured", "bandwidth estimator", choices=("measured", "oracle"), research=True)
     delay_ms: float = setting(20.0, "one-way propagation delay in milliseconds", low=0, high=10_000)
-    queue_bytes: int | None = setting(None, "bound of the link's queue in bytes; unbounded when not given", low=1504)
+    queue_bytes: int | None = setting(None, "size of the link's queue in bytes; unlimited if not given", low=1504)
     draw_ms: float = setting(
         0.0,
         "time that the client takes to draw a frame, in milliseconds; late frames are dropped",
@@ -62,14 +60,14 @@ class StreamSettings:
         research=True,
     )
     quantiser: str = setting("", "quantiser configuration of a scene; empty: the encoder's default")
-    lpips: str = setting("", "weights of LPIPS (.npz), to measure it too; empty: leave it out")
+    lpips: str = setting("", "weights of LPIPS (.npz); empty: no LPIPS")
     video_metrics: str = setting(
-        AUTO, "metrics of the whole film: vmaf, xpsnr, jod by commas; none; auto: the quick ones, vmaf and xpsnr"
+        AUTO, "metrics of the film: vmaf, xpsnr, jod, comma separated; none; auto: the fast ones, vmaf and xpsnr"
     )
     cache: str = setting("", "folder of encoded bundles to reuse; empty: the user's cache folder")
     out: str = setting("", "folder for frames.jsonl, timeline.png and strip.png; empty: none")
-    record: str = setting("", "MP4 file for the film as it was shown; empty: none")
-    record_truth: bool = setting(False, "with --record: the true picture to the right of each")
+    record: str = setting("", "MP4 file for the displayed film; empty: none")
+    record_truth: bool = setting(False, "with --record: add the true picture to the right of each frame")
     strip: int | None = setting(
         None, "first of 12 consecutive frames to show side by side in film-strip.png, in --out", low=0
     )
@@ -78,17 +76,17 @@ class StreamSettings:
 
     def __post_init__(self) -> None:
         check_settings(self)
-        self.metrics  # noqa: B018 - refuse what does not parse
+        self.metrics  # noqa: B018 - refuses unknown metrics
         if self.strip is not None and not self.out:
-            raise ConfigError(f"strip = {self.strip} has no place to go; name a folder with --out")
+            raise ConfigError(f"strip = {self.strip} needs a folder; give --out FOLDER")
         if self.record and not self.record.endswith(".mp4"):
             raise ConfigError(f"record = {self.record!r} must end in .mp4")
         if self.record_truth and not self.record:
-            raise ConfigError("record_truth = True has no film to go with; name one with --record FILE.mp4")
+            raise ConfigError("record_truth = True needs a film; give --record FILE.mp4")
 
     @property
     def seed_list(self) -> range:
-        """Seeds that are played."""
+        """Seeds to play."""
         return range(self.seeds or (COMPARED_SEEDS if self.compare else 1))
 
     @property
@@ -98,7 +96,7 @@ class StreamSettings:
 
 
 Fields = Mapping[str, tuple[str, str]]
-"""What a setting is called here, and where it is: ``own``, ``server`` or ``client``, and its name there."""
+"""Name of a setting here -> owner (``own``, ``server`` or ``client``), and its name there."""
 
 
 def _fields() -> Fields:
@@ -112,14 +110,14 @@ FIELDS = _fields()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of all :data:`FIELDS`."""
+    """Add the flags of all :data:`FIELDS`."""
     add_settings(parser, StreamSettings)
     for where, cls in (("server", ServerSettings), ("client", ClientSettings)):
         add_flags(parser.add_argument_group(where), _flags(where, cls))
 
 
 def _flags(where: str, cls: type[Any]) -> type[Any]:
-    """The fields of ``cls`` that are settings here, by their names here."""
+    """A dataclass with the settings of ``cls`` under their names here."""
     hints, there = typing.get_type_hints(cls), {f.name: f for f in fields(cls)}
     names = {name: source for name, (owner, source) in FIELDS.items() if owner == where}
     return make_dataclass(
@@ -133,7 +131,7 @@ def _copied(f: Field[Any]) -> Any:
 
 
 def load(arguments: argparse.Namespace) -> StreamSettings:
-    """Settings from flags and file; the tables ``[server]`` and ``[client]`` of a file are those of the programs.
+    """Settings from flags and file. The tables ``[server]`` and ``[client]`` of a file are those of the programs.
 
     Raises :class:`ConfigError`.
     """
@@ -146,7 +144,7 @@ def load(arguments: argparse.Namespace) -> StreamSettings:
 
 
 def _check_file(path: str | None) -> None:
-    """Refuse a file that leaves open whose ``fov`` it means; what else is wrong with it is told when it is loaded."""
+    """Refuse a file in which ``fov`` is ambiguous. Other errors are reported when the file is loaded."""
     try:
         table = tomllib.loads(Path(path).read_text(encoding="utf-8")) if path else {}
     except (OSError, ValueError):
@@ -157,18 +155,18 @@ def _check_file(path: str | None) -> None:
 
 
 NO_FIGURE = frozenset({"cache", "out", "record", "record_truth", "strip", "seeds", "compare"})
-"""Settings that decide no figure of a play."""
+"""Settings that do not affect the figures of a play."""
 
 
 def changed(settings: StreamSettings, name: str, text: str) -> StreamSettings:
-    """``settings`` with the one called ``name`` (dashes or underscores) set to what ``text`` says.
+    """``settings`` with the setting ``name`` (with dashes or underscores) set to ``text``.
 
-    Raises :class:`ConfigError` for unknown names and for values that the setting does not take.
+    Raises :class:`ConfigError` for unknown names and invalid values.
     """
     key = name.strip().replace("-", "_")
     if key not in FIELDS or key in NO_FIGURE:
         known = ", ".join(sorted(FIELDS.keys() - NO_FIGURE))
-        raise ConfigError(f"compare: {name.strip()!r} is no setting of a play; known: {known}")
+        raise ConfigError(f"compare: {name.strip()!r} is not a setting of a play; known: {known}")
     where, source = FIELDS[key]
     if where == "own":
         return replace(settings, **{source: _value(StreamSettings, source, text)})
@@ -181,7 +179,7 @@ def changed(settings: StreamSettings, name: str, text: str) -> StreamSettings:
 
 def _value(cls: type[Any], name: str, text: str) -> Any:
     hint = typing.get_type_hints(cls)[name]
-    kind = next(arm for arm in (*typing.get_args(hint), hint) if arm is not type(None))
+    kind = next(member for member in (*typing.get_args(hint), hint) if member is not type(None))
     if kind is bool:
         if text not in ("true", "false"):
             raise ConfigError(f"compare: {name} = {text!r} must be true or false")

@@ -1,4 +1,4 @@
-"""The stages of some frames as pictures, the truth among them."""
+"""Saves the stages of some frames, and their true pictures, as images."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cags_client.output.files import StagesSink, bytes_of, stage_path, write_png
 
 
 class StageSaver:
-    """Writes the stages of every ``every``-th frame (:class:`StagesSink`) and its true picture to ``folder``."""
+    """Writes the stages of every n-th frame (:class:`StagesSink`) and its true picture to ``folder``."""
 
     def __init__(self, folder: Path, every: int, truth: Truth) -> None:
         self._folder, self._every = folder, every
@@ -29,7 +29,7 @@ class StageSaver:
         self._sink.close(completed=error is None)
 
     def save(self, presented: PresentedFrame) -> None:
-        """Write the frame's pictures if it is one of those."""
+        """Write the frame's pictures if its turn has come."""
         self._sink.show(presented, {})
         if presented.frame % self._every == 0:
             rgb, _ = self._truth(presented.frame, presented.camera)

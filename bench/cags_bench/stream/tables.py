@@ -1,4 +1,4 @@
-"""Plays and comparisons as tables for people: a row a play."""
+"""Prints plays and comparisons as tables, one row per play."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 WIDTH = 100
-"""Columns of text that is not written to a terminal."""
+"""Line width of text that is not written to a terminal."""
 
 
 def print_plays(lines: Iterable[dict[str, Any]], stream: IO[str]) -> None:
-    """Print a sign of life a play, then the tables."""
+    """Print a line as soon as each play is complete, then the tables."""
     plays: list[dict[str, Any]] = []
     last: dict[str, Any] = {}
     for line in lines:
@@ -24,13 +24,13 @@ def print_plays(lines: Iterable[dict[str, Any]], stream: IO[str]) -> None:
             plays.append(line)
         if not line.get("summary"):
             print(f"played {_row(line)}", file=stream, flush=True)
-    from rich.console import Console  # here: there is something to print
+    from rich.console import Console  # late import: only needed here
 
     console = Console(file=stream, highlight=False, width=None if stream.isatty() else WIDTH)
     console.print(_heading(last), markup=False, soft_wrap=True)
     for title, figures in GROUPS.items():
         known = [figure for figure in figures if any(figure.of(play) is not None for play in plays)]
-        against = f", against {last['truth']}" if title == PICTURE and "truth" in last else ""
+        against = f", compared with {last['truth']}" if title == PICTURE and "truth" in last else ""
         _print_group(console, title + against, known, plays)
     if "compare" in last:
         _print_comparison(console, last)
@@ -45,10 +45,11 @@ def _row(line: Mapping[str, Any]) -> str:
 
 
 def _heading(line: Mapping[str, Any]) -> str:
-    told = line["settings"]
-    client = told["client"]
-    share = "" if told["share"] == 1.0 else f" at {100 * told['share']:g} % of its rate"
-    return f"{told['scene']} over {told['trace']}{share}, {told['poses']}, {client['width']}x{client['height']}"
+    settings = line["settings"]
+    client = settings["client"]
+    share = "" if settings["share"] == 1.0 else f" at {100 * settings['share']:g} % of its rate"
+    size = f"{client['width']}x{client['height']}"
+    return f"{settings['scene']} over {settings['trace']}{share}, {settings['poses']}, {size}"
 
 
 def _table(title: str) -> Table:
@@ -74,7 +75,7 @@ def _print_comparison(console: Any, line: Mapping[str, Any]) -> None:
     from rich.markup import escape
 
     first, second = line["compare"]["values"]
-    title = f"{second} less {first}: mean over {line['compare']['seeds']} seeds, 95 % interval of paired differences"
+    title = f"{second} minus {first}: mean over {line['compare']['seeds']} seeds, 95 % interval of paired differences"
     table = _table(title)
     table.add_column("figure", no_wrap=True)
     for name in (first, second, "difference"):
@@ -94,7 +95,7 @@ def _interval(figure: Figure, found: Mapping[str, float]) -> str:
 
 
 def _notes(line: Mapping[str, Any]) -> list[str]:
-    outs: dict[str, list[str]] = {}
-    for metric, way_out in (line.get("left_out") or {}).items():
-        outs.setdefault(way_out, []).append(metric)
-    return [f"{', '.join(metrics)} not measured: {way_out}" for way_out, metrics in outs.items()]
+    by_remedy: dict[str, list[str]] = {}
+    for metric, remedy in (line.get("left_out") or {}).items():
+        by_remedy.setdefault(remedy, []).append(metric)
+    return [f"{', '.join(metrics)} not measured: {remedy}" for remedy, metrics in by_remedy.items()]

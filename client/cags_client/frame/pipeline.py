@@ -37,7 +37,7 @@ from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol.wire.messages import FrameEnd, Mark, ReferenceFrame, ReferenceKind, TileLayers
 
 PATIENCE_FRAMES = 3
-"""Frames to wait for a late reference before showing more than the previous one assumes."""
+"""Frames to wait for a late reference before showing more than the previous one assumes, if that one says anything."""
 
 
 class ClientPipeline:
@@ -263,11 +263,15 @@ class ClientPipeline:
 
         With a difference this is the mark that it assumes. A picture assumes none, because it is compared with the
         displayed splats; the frame is then shown up to the mark of the next received reference, or to the newest mark.
-        While the frame's reference is late, the mark of the previous one stays. Without references there are no marks.
+        While the frame's reference is late, the frame is shown up to the mark of the newest received one, which may
+        have come after its own frame, but to no mark before the displayed one. If that one says nothing, there is
+        nothing to keep in force, and nothing is waited for. Without references there are no marks.
         """
-        if reference is not None and reference.assumes and frame - reference.frame <= PATIENCE_FRAMES:
-            self._committed_mark = reference.basis if reference.frame == frame else self._committed_mark
-            return self._committed_mark
+        if reference is not None and reference.assumes:
+            own, empty = reference.frame == frame, reference.kind is ReferenceKind.NOTHING
+            if own or (not empty and frame - reference.frame <= PATIENCE_FRAMES):
+                self._committed_mark = max(reference.basis, 0 if own else self._committed_mark)
+                return self._committed_mark
         coming = self._references.next_basis()
         self._committed_mark = self._marked if coming is None else min(coming, self._marked)
         return self._committed_mark or None

@@ -11,6 +11,10 @@ from cags_client.output.steadiness import EVEN_MS
 Row = tuple[str, str]
 
 
+MANY = 0.25
+"""Share of frames from which on their being skipped or incomplete is told as a shortage."""
+
+
 def summary_rows(summary: Mapping[str, Any], clip_frames: int) -> list[Row]:
     """Names and values of a :func:`~cags_client.output.report.summary` of a clip of ``clip_frames`` media frames."""
     rows = [("shown", _shown(summary, clip_frames))]
@@ -76,7 +80,7 @@ def _times(summary: Mapping[str, Any]) -> list[Row]:
 
 def _trouble(summary: Mapping[str, Any]) -> list[Row]:
     """What hardly ever is, and is told of only then."""
-    rows = []
+    rows = _shortages(summary)
     if summary["reconnects"]:
         away = f"{summary['reconnects']} times, {summary['away_ms'] / 1e3:.1f} s without a server"
         rows.append(("reconnected", away))
@@ -84,3 +88,15 @@ def _trouble(summary: Mapping[str, Any]) -> list[Row]:
         asked = f"{summary['decode_errors']} payloads did not decode; key pictures asked for: "
         rows.append(("damaged", asked + str(summary["keyframe_requests"])))
     return rows
+
+
+def _shortages(summary: Mapping[str, Any]) -> list[Row]:
+    """What the play was short of, as far as a client can see it."""
+    words, shown = [], max(summary["frames"], 1)
+    skipped = summary["frames_dropped"] / (shown + summary["frames_dropped"])
+    if skipped > MANY:
+        words.append(f"this machine: {100 * skipped:.0f} % of the frames skipped, being late")
+    missed = summary["frames_missed"] / shown
+    if missed > MANY:
+        words.append(f"link or server: {100 * missed:.0f} % of the pictures without all of their data")
+    return [("short of", "; ".join(words))] if words else []

@@ -32,7 +32,9 @@ class ServerWebSocket:
 
     @classmethod
     async def accept(cls, request: web.Request, *, subprotocol: str, max_message_bytes: int) -> ServerWebSocket:
-        """Answer the upgrade. Raises aiohttp's ``HTTPBadRequest`` for what is not a WebSocket request."""
+        """Answer the upgrade. Raises aiohttp's ``HTTPBadRequest`` for what is not a WebSocket request, and
+        :class:`ConnectionEndedError` where the client is gone already.
+        """
         from aiohttp import web
 
         ws = web.WebSocketResponse(
@@ -42,7 +44,10 @@ class ServerWebSocket:
             max_msg_size=max_message_bytes + 1,  # of aiohttp: the first size that is refused
             writer_limit=0,  # wait for the transport after every message, not after every 256 KiB
         )
-        await ws.prepare(request)
+        try:
+            await ws.prepare(request)
+        except ConnectionError as error:
+            raise ConnectionEndedError(f"{request.remote}: went away before its upgrade was answered") from error
         transport = request.transport
         if transport is not None:
             transport.set_write_buffer_limits(high=WRITE_BUFFER_BYTES)

@@ -1,1 +1,1 @@
-"""Looking into finished bundles: describe, verify, export, plot."""
+"""Tools for finished bundles: describe, verify, export, plot, publish."""

@@ -1,4 +1,4 @@
-"""The author's view of a bundle that is there already: added or replaced, with its thumbnail."""
+"""Adds or replaces the author's view of an existing bundle, and its thumbnail."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from cags_common.raster import create
 
 
 def set_view(url: str, view: AuthorView) -> None:
-    """Give the bundle at ``url`` this view. Raises :class:`BundleError`.
+    """Store this view in the bundle at ``url``. Raises :class:`BundleError`.
 
-    The manifest is replaced last: readers find the old view or the new one.
+    The manifest is replaced last, so readers get either the old or the new view.
     """
     with BundleReader.open(url) as reader:
         manifest = replace(reader.manifest, view=view)

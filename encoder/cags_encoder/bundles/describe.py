@@ -1,4 +1,4 @@
-"""What a bundle holds, as one JSON object and as text."""
+"""Describes the contents of a bundle, as one JSON object and as text."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Description = dict[str, Any]
 
 
 def summarise(reader: BundleReader, url: str) -> Description:
-    """The bundle in a few numbers. Raises :class:`BundleError`."""
+    """The most important numbers of a bundle. Raises :class:`BundleError`."""
     manifest = reader.manifest
     entries = [reader.frame(index) for index in range(manifest.frames)]
     splats = _splats(entries[0])
@@ -46,7 +46,7 @@ def summarise(reader: BundleReader, url: str) -> Description:
 
 
 def describe(reader: BundleReader, url: str) -> Description:
-    """:func:`summarise`, and every frame, LoD and codebook. Raises :class:`BundleError`."""
+    """:func:`summarise`, with every frame, LoD and codebook. Raises :class:`BundleError`."""
     manifest, quality = reader.manifest, reader.quality()
     entries = [reader.frame(index) for index in range(manifest.frames)]
     layers = ["base", *(f"{item.attribute} {item.layer}" for item in manifest.lod_order)]
@@ -90,15 +90,15 @@ def lines(found: Description) -> Iterator[str]:
     later = [frame for frame in found["each_frame"] if not frame["key"]]
     yield (
         f"first frame: {found['splats_first_frame']} splats, {found['bytes_first_frame']} bytes "
-        f"({found['bytes_a_splat']:.2f} a splat); codebooks {found['bytes_codebooks']}; tiles {found['bytes_tiles']}; "
-        f"source {found['bytes_source']}"
+        f"({found['bytes_a_splat']:.2f} per splat); codebooks {found['bytes_codebooks']}; "
+        f"tiles {found['bytes_tiles']}; source {found['bytes_source']}"
     )
     if later:
         sent, size = (float(np.mean([frame[name] for frame in later])) for name in ("splats", "bytes"))
         yield f"later frames: {sent:.0f} splats, {size:.0f} bytes each on average"
     moving = {name: sizes for name, sizes in found["bytes_of"].items() if name != "looks" and sizes}
     for name, sizes in moving.items():
-        yield f"{name} tiles: {sum(sizes)} bytes in all, {sizes[0]} of their first levels"
+        yield f"{name} tiles: {sum(sizes)} bytes in total, {sizes[0]} in level 0"
     for name, parts in found["bytes_by_part"].items():
         yield f"{name} after key frames: {', '.join(f'{part} {size}' for part, size in parts.items())}"
     if found["tracks"]:
@@ -106,7 +106,7 @@ def lines(found: Description) -> Iterator[str]:
     if found["pruning"]:
         pruned = found["pruning"]
         yield (
-            f"pruned: {pruned['splats_before']} to {pruned['splats_after']} splats, which costs pictures of "
+            f"pruned: {pruned['splats_before']} to {pruned['splats_after']} splats; PSNR of renders: "
             f"{pruned['psnr_db']:.2f} dB, SSIM {pruned['ssim']:.4f}"
         )
     yield ""
@@ -126,10 +126,10 @@ def _track_lines(tracks: Description) -> Iterator[str]:
         f"{tracks['linked_share']:.1%} of a frame's splats continue"
     )
     lives = (f"{1 << k}+: {count}" for k, count in enumerate(tracks["life_histogram"]) if count)
-    yield f"lives in frames: {', '.join(lives)}"
+    yield f"lifetimes in frames: {', '.join(lives)}"
     if tracks["linked_share"]:
         changed = (f"{name} {share:.1%}" for name, share in tracks["changed"].items())
-        yield f"what visibly changes from frame to frame: {', '.join(changed)}"
+        yield f"visible changes from frame to frame: {', '.join(changed)}"
 
 
 def _level_lines(found: Description) -> Iterator[str]:
@@ -142,7 +142,7 @@ def _level_lines(found: Description) -> Iterator[str]:
 
 
 def _layer_lines(layers: list[Description]) -> Iterator[str]:
-    yield "one attribute cut, all others whole:"
+    yield "fewer layers of one attribute, all layers of the others:"
     yield f"{'attribute':>14} {'layers':>6} {'bytes':>9} {'PSNR dB':>8} {'SSIM':>7}"
     for row in layers:
         place = f"{row['attribute']:>14} {row['layer']:>6} {row['size_bytes']:>9}"
@@ -150,7 +150,7 @@ def _layer_lines(layers: list[Description]) -> Iterator[str]:
 
 
 def _splats(entry: FrameEntry) -> int:
-    """Splats that come, or come anew."""
+    """Number of splats sent whole, new or again."""
     return sum(tile.splats for tile in entry.tiles if tile.kind == TileKind.LOOKS)
 
 

@@ -1,4 +1,4 @@
-"""Export of one frame of a bundle to a file format of other viewers."""
+"""Exports one frame of a bundle to a file format of other viewers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def parse_place(text: str) -> tuple[int, int | None]:
     """Parse ``FRAME`` or ``FRAME:LOD``. Raises :class:`ConfigError`."""
     match = re.fullmatch(r"(\d{1,9})(?::(\d{1,3}))?", text, re.ASCII)
     if match is None:
-        raise ConfigError(f"{text!r} must be FRAME or FRAME:LOD, such as 0 or 12:3")
+        raise ConfigError(f"{text!r} must be FRAME or FRAME:LOD, like 0 or 12:3")
     return int(match[1]), None if match[2] is None else int(match[2])
 
 

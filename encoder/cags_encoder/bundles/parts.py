@@ -1,4 +1,4 @@
-"""Where a bundle's bytes go: by kind of tile and by what they tell."""
+"""A bundle's bytes by kind of tile and by part."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from cags_common.tiles.payloads import base_parts
 from cags_common.tiles.updates import update_parts
 
 MOST_CHUNKS = 8
-"""Chunks of motion whose symbols are told apart, which takes long: the shares of these stand for all."""
+"""Number of chunks of motion whose symbols are counted by part, which is slow; their shares represent all chunks."""
 
 Parts = dict[str, dict[str, int]]
 
 
 def byte_parts(reader: BundleReader) -> Parts:
-    """Bytes of all tiles but key frames' looks: kind -> what they tell -> bytes. Raises :class:`BundleError`."""
+    """Bytes of all tiles except key frames' looks: kind -> part -> bytes. Raises :class:`BundleError`."""
     found = {kind: Counter[str]() for kind in TileKind}
     chunks = []
     for frame in range(reader.manifest.frames):
@@ -33,7 +33,7 @@ def byte_parts(reader: BundleReader) -> Parts:
 
 
 def _add_attributes(to: Counter[str], reader: BundleReader, frame: int, tile: TileEntry) -> None:
-    """Adds the bytes of a tile of looks, or of an update."""
+    """Add the bytes of a tile of looks, or of an update."""
     base = reader.payload(frame, tile.tile, 0)
     to.update(base_parts(base) if tile.kind == TileKind.LOOKS else update_parts(base))
     for item, size in zip(reader.manifest.lod_order, tile.lod_bytes[1:], strict=True):
@@ -41,7 +41,7 @@ def _add_attributes(to: Counter[str], reader: BundleReader, frame: int, tile: Ti
 
 
 def _motion(reader: BundleReader, chunks: list[tuple[int, TileEntry]]) -> Counter[str]:
-    """Bytes of ``chunks``, by the shares of the largest of them."""
+    """Bytes of ``chunks`` by part, from the shares in the largest of them."""
     sizes = [sum(tile.lod_bytes) for _, tile in chunks]
     judged = Counter[str]()
     for at in sorted(range(len(chunks)), key=lambda at: -sizes[at])[:MOST_CHUNKS]:

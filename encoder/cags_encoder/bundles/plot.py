@@ -1,4 +1,4 @@
-"""A bundle in pictures: bytes of frames, bytes of levels, and the paper's two figures on LoD assignment."""
+"""Plots of a bundle: bytes of frames, bytes of levels, and the paper's two figures on LoD assignment."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ if TYPE_CHECKING:
 
 
 def plot(found: Description, path: Path) -> None:
-    """Draw what :func:`~cags_encoder.bundles.describe.describe` found. Raises :class:`BundleError` for
-    formats that cannot be drawn and :class:`OutputError` for places that cannot be written.
+    """Plot the result of :func:`~cags_encoder.bundles.describe.describe`.
+
+    Raises :class:`BundleError` for unknown formats and :class:`OutputError` if the file cannot be written.
     """
     from matplotlib.figure import Figure
 
@@ -48,7 +49,7 @@ def _frames(axis: Axes, frames: list[Any]) -> None:
 
 def _levels(axis: Axes, levels: list[Any]) -> None:
     axis.bar([level["lod"] for level in levels], [level["first_frame_bytes"] / 1e3 for level in levels])
-    axis.set(title="what each level adds to the first frame", xlabel="LoD", ylabel="kB")
+    axis.set(title="size of each level in the first frame", xlabel="LoD", ylabel="kB")
     axis.set_xticks(range(len(levels)), [level["adds"] for level in levels], rotation=90, fontsize=6)
 
 
@@ -56,14 +57,16 @@ def _layers(axis: Axes, layers: list[Any]) -> None:
     for name in dict.fromkeys(row["attribute"] for row in layers):
         rows = [row for row in layers if row["attribute"] == name]
         axis.plot([row["layer"] for row in rows], [row["psnr_db"] for row in rows], marker="o", label=name)
-    axis.set(title="one attribute cut, all others whole", xlabel="enhancement layers", ylabel="PSNR (dB)")
+    axis.set(
+        title="fewer layers of one attribute, all layers of the others", xlabel="enhancement layers", ylabel="PSNR (dB)"
+    )
     axis.legend(fontsize=8)
 
 
 def _ladder(axis: Axes, ladder: list[Any]) -> None:
     size = [row["size_bytes"] / 1e6 for row in ladder]
     axis.plot(size, [row["psnr_db"] for row in ladder], marker="o", color="tab:blue")
-    axis.set(title="the ladder of levels", xlabel="first frame, MB", ylabel="PSNR (dB), dots")
+    axis.set(title="quality by level", xlabel="first frame, MB", ylabel="PSNR (dB), dots")
     other = axis.twinx()
     other.plot(size, [row["ssim"] for row in ladder], marker="x", color="tab:orange")
     other.set_ylabel("SSIM, crosses")

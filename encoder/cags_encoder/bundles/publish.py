@@ -1,9 +1,9 @@
-"""A bundle as a folder for any web host: the viewer's page, a manifest, and files whose names say what they hold.
+"""A bundle as a folder for any web host: the viewer's page, a manifest, and files named by their content.
 
-Files are named by their CRC-32, so that hosts and browsers may keep them for ever; only ``index.html`` and
-``manifest.json`` are looked at anew. Text and programs have a compressed copy beside them, for hosts that hand such out
-(nginx: ``gzip_static on``); tiles, which are read by ranges, have none. Source frames, which no player needs, stay
-behind. Layout: ``docs/bundle.md``.
+Files are named by their CRC-32, so that hosts and browsers may cache them for ever; only ``index.html`` and
+``manifest.json`` must be revalidated. Text and programs have a compressed copy for hosts that serve precompressed files
+(nginx: ``gzip_static on``). Tiles, which are read by ranges, have none. Source frames are left out because players do
+not need them. Layout: ``docs/bundle.md``.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ PAGE_SUFFIXES = {".html", ".js", ".css", ".svg", ".wasm"}
 COMPRESSED_SUFFIXES = PAGE_SUFFIXES | {".json"}
 
 SOURCE_TAG = '<meta name="cags-source" content="./" />'
-"""Tells the page where its scene is: beside it, and not behind a server's WebSocket."""
+"""Tells the page that its scene is in the same folder, not behind a server's WebSocket."""
 
 
 @dataclass(frozen=True)
 class Published:
-    """What was written."""
+    """Summary of the files written."""
 
     folder: str
     files: int
     bytes: int
     page: bool
-    """Whether the viewer's page is there; else the folder is for a page elsewhere."""
+    """Whether the viewer's page is included; otherwise the folder is for a page elsewhere."""
 
 
 def publish(url: str, folder: Path, page: Path | None) -> Published:
@@ -47,7 +47,7 @@ def publish(url: str, folder: Path, page: Path | None) -> Published:
     no bundle.
     """
     if folder.exists() and any(folder.iterdir()):
-        raise ConfigError(f"publish = {folder}: holds files already; give an empty or a new folder")
+        raise ConfigError(f"publish = {folder}: is not empty; give an empty or a new folder")
     folder.mkdir(parents=True, exist_ok=True)
     store = UrlStore(url)
     data = store.read_all("manifest.json", MAX_MANIFEST_BYTES)
@@ -67,21 +67,21 @@ def publish(url: str, folder: Path, page: Path | None) -> Published:
 
 
 def _named(data: bytes, kind: str, folder: Path) -> str:
-    """Write ``data`` under a name that its content gives; the name."""
+    """Write ``data`` to a file named by its content, and return the name."""
     name = f"{kind}-{zlib.crc32(data):08x}-{len(data):x}.bin"
     (folder / name).write_bytes(data)
     return name
 
 
 def _compress(folder: Path) -> None:
-    """Write NAME.gz beside what a host would compress for each visitor; equal files give equal bytes."""
+    """Write NAME.gz for every compressible file; equal files give equal bytes."""
     for path in sorted(folder.iterdir()):
         if path.suffix in COMPRESSED_SUFFIXES:
             path.with_name(f"{path.name}.gz").write_bytes(gzip.compress(path.read_bytes(), 9, mtime=0))
 
 
 def built_page() -> Path | None:
-    """The folder of the built viewer; None where it is not built or not installed."""
+    """The folder of the built viewer; None if it is not built or not installed."""
     try:
         folder = import_module("cags_web").page_folder()
     except ImportError:
@@ -90,7 +90,7 @@ def built_page() -> Path | None:
 
 
 def _copy_page(page: Path, folder: Path) -> None:
-    """The page's files; its HTML says that the scene lies beside it."""
+    """Copy the page's files; its HTML gets the tag that names the scene."""
     for path in sorted(page.iterdir()):
         if path.is_file() and path.suffix in PAGE_SUFFIXES and not path.name.startswith("gallery."):
             shutil.copyfile(path, folder / path.name)

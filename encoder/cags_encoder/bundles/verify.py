@@ -1,4 +1,4 @@
-"""Checking a bundle from end to end."""
+"""Checks a bundle from end to end."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from cags_common.errors import BundleError, DecodeError
 
 
 def verify(reader: BundleReader, url: str, tell: Callable[[int, int], None]) -> int:
-    """Check every CRC and decode everything; the number of payloads that were read.
+    """Check every CRC and decode everything; return the number of payloads.
 
-    Every layer of every tile at full depth, and every tile at LoD 0 as a client on a slow link has it; ids, counts and
-    source frames must agree with each other. Raises :class:`BundleError` naming the first place that is broken.
+    All layers of every tile are decoded, and every tile at LoD 0 as a client on a slow link gets it. Ids, counts and
+    source frames must agree. Raises :class:`BundleError` naming the first damaged place.
     """
     manifest = reader.manifest
     top, base, payloads = BundlePlayer(reader), BundlePlayer(reader, 0), 0
@@ -41,12 +41,14 @@ def _verify_frame(reader: BundleReader, index: int, top: BundlePlayer, base: Bun
             reader.payload(index, tile.tile, lod)
         state = top.tile(index, tile)
         if len(state) != tile.splats:
-            raise BundleError(f"frame {index}, tile {tile.tile}: holds {len(state)} splats, its index {tile.splats}")
+            raise BundleError(
+                f"frame {index}, tile {tile.tile}: has {len(state)} splats, but {tile.splats} in the index"
+            )
     held, source = top.frame(index), reader.source(index)
     if not np.array_equal(held.ids, source.ids):
-        raise BundleError(f"frame {index}: its tiles and its source frame leave different splats alive")
+        raise BundleError(f"frame {index}: tiles and source frame disagree about the live splats")
     if not np.array_equal(base.frame(index).ids, held.ids):
-        raise BundleError(f"frame {index}: LoD 0 and the highest LoD hold different splats")
+        raise BundleError(f"frame {index}: LoD 0 and the highest LoD have different splats")
     if not all(np.isfinite(array).all() for _, array in held.splats.arrays()):
         raise BundleError(f"frame {index}: decodes to values that are not finite")
     return sum(len(tile.lod_bytes) for tile in entry.tiles) + 2

@@ -1,4 +1,4 @@
-"""Linear LoD orders: the fixed one, and orders from files."""
+"""Linear LoD orders: the paper's, and orders from files."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from cags_common.errors import BundleError, ConfigError
 from cags_common.tiles.lod import LodLayer, check_order
 from cags_common.tiles.svq import CodebookSet
 
-# How many layers later than scale's first an attribute's first layer comes. Coarse scales tear surfaces apart, then
-# rotations show, then colours, then opacity (paper, supplement, "LoD Assignment").
+# Position of an attribute's first layer, in layers after the first of scale. Coarse scales tear surfaces apart; errors
+# of rotations are the next most visible, then colours, then opacity (paper, supplement, "LoD Assignment").
 _LATENESS = {
     "scale": 0.0,
     "rotation_imag": 1.0,
@@ -31,9 +31,9 @@ def paper_order(books: CodebookSet) -> tuple[LodLayer, ...]:
 
 
 def order_of(name: str, books: CodebookSet) -> tuple[LodLayer, ...]:
-    """The order that a setting names: ``paper`` or a file of lines ``attribute layer``. Raises :class:`ConfigError`.
+    """The order named by a setting: ``paper`` or a file of lines ``attribute layer``. Raises :class:`ConfigError`.
 
-    For ``measured`` it is the one to begin with.
+    For ``measured``, the paper's order is the initial one.
     """
     return paper_order(books) if name in ("paper", "measured") else _read_order(Path(name), books)
 
@@ -51,7 +51,7 @@ def _read_order(path: Path, books: CodebookSet) -> tuple[LodLayer, ...]:
         if not words:
             continue
         if len(words) != 2 or not words[1].isdecimal():
-            raise ConfigError(f"{path}:{number}: {line!r} must be 'attribute layer', such as 'scale 1'")
+            raise ConfigError(f"{path}:{number}: {line!r} must be 'attribute layer', like 'scale 1'")
         order.append(LodLayer(words[0], int(words[1])))
     try:
         check_order(order, {book.attribute: book.enhancement_layers for book in books})

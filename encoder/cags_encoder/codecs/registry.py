@@ -1,4 +1,4 @@
-"""Codecs by name, the encoder's side of :mod:`cags_common.bundle.codecs`."""
+"""Codecs by name: the encoder's side of :mod:`cags_common.bundle.codecs`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cags_encoder.settings import EncodeSettings
 
 
 class CodedSplats(Protocol):
-    """Quantised splats [n], in whatever form the codec keeps them."""
+    """Quantised splats [n] in the codec's own form."""
 
     def take(self, rows: NDArray[Any]) -> Self:
         """The splats at ``rows``."""
@@ -23,24 +23,24 @@ class CodedSplats(Protocol):
 
 
 class ClipCodec(Protocol):
-    """A codec trained for one clip. Picklable and without state between calls."""
+    """A codec trained for one clip. Picklable and stateless between calls."""
 
     @property
     def lod_order(self) -> tuple[LodLayer, ...]:
-        """What each LoD from 1 on adds; names of attributes are the codec's own."""
+        """Layer added by each LoD from 1 on; attribute names are the codec's own."""
         ...
 
     @property
     def lod_gains_db(self) -> tuple[float, ...]:
-        """PSNR gained by each LoD of :attr:`lod_order` on renders of the clip; empty when not measured."""
+        """PSNR gained by each LoD of :attr:`lod_order` on renders of the clip; empty if not measured."""
         ...
 
     def codebooks(self) -> bytes:
-        """What a decoder needs to be sent once."""
+        """Data that a decoder needs once."""
         ...
 
     def prepare(self, splats: Splats) -> Splats:
-        """The same splats [n], to be drawn the same, written down as :meth:`decode` gives them back."""
+        """The same splats [n], equal when drawn, in the form that :meth:`decode` returns."""
         ...
 
     def quantise(self, prepared: Splats) -> Any:
@@ -48,15 +48,15 @@ class ClipCodec(Protocol):
         ...
 
     def decode(self, coded: Any) -> Splats:
-        """What a decoder with every LoD shows [n], but for the rounding of positions."""
+        """The splats [n] of a decoder with every LoD, except for the rounding of positions."""
         ...
 
     def shown(self, coded: Any) -> Splats:
-        """What a decoder with every LoD shows of one tile [n], positions rounded as in that tile: bit by bit."""
+        """The splats [n] of one tile in a decoder with every LoD, with rounded positions: bit-identical."""
         ...
 
     def encode_tile(self, ids: Ids, coded: Any, *, id_range: bool) -> tuple[bytes, ...]:
-        """A tile of splats [n] with ascending ``ids``, consecutive ones with ``id_range``: a payload for each LoD."""
+        """Payloads of a tile, one per LoD, for splats [n] with ascending ``ids`` (consecutive if ``id_range``)."""
         ...
 
 
@@ -69,12 +69,12 @@ def _svq(samples: Splats, settings: EncodeSettings, weights: F64 | None) -> Clip
 CLIP_CODECS: Registry[Callable[[Splats, EncodeSettings, F64 | None], ClipCodec]] = Registry(
     "codec =", "cags.clip_codecs", {"svq": _svq}
 )
-"""Makers of codecs by name, from samples [n], settings and the samples' weights [n]."""
+"""Codec factories by name; their arguments are samples [n], settings and the samples' weights [n]."""
 
 
 def train_codec(samples: Splats, settings: EncodeSettings, weights: F64 | None = None) -> ClipCodec:
-    """The codec that the settings name, trained on ``samples`` [n], n >= 1. Raises :class:`ConfigError`.
+    """The codec named by the settings, trained on ``samples`` [n], n >= 1. Raises :class:`ConfigError`.
 
-    ``weights`` [n] > 0 say how much each sample counts, to codecs that can use it.
+    ``weights`` [n] > 0 are the samples' weights, for codecs that use them.
     """
     return CLIP_CODECS.find(settings.codec)(samples, settings, weights)

@@ -1,4 +1,4 @@
-"""Scalable Vector Quantisation as a codec of clips."""
+"""Scalable Vector Quantisation as a clip codec."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cags_encoder.quantiser.training import Quantiser
 
 SMALL_SPLATS = 0.25
-"""Quantile of a tile's radii that its position step is measured by."""
+"""Quantile of a tile's radii that determines its position step."""
 
 MIN_POSITION_BITS = 4
 
@@ -32,7 +32,7 @@ MIN_POSITION_BITS = 4
 class SvqSplats:
     """Quantised splats."""
 
-    means: F32  # [n, 3] true
+    means: F32  # [n, 3] unquantised
     radii: F32  # [n] standard deviation along the middle axis, metres
     codes: dict[str, U32]  # attribute -> [n] codes of full length
 
@@ -58,9 +58,9 @@ class SvqCodec:
         weights: F64 | None = None,
         config: QuantiserConfig | None = None,
     ) -> SvqCodec:
-        """Train codebooks on ``samples`` [n], which count by ``weights`` [n], and choose the LoD order.
+        """Train codebooks on ``samples`` [n] with ``weights`` [n], and choose the LoD order.
 
-        ``config`` stands in for that which the settings name. Raises :class:`ConfigError`.
+        ``config`` replaces the configuration named by the settings. Raises :class:`ConfigError`.
         """
         from cags_encoder.quantiser.training import train
 
@@ -75,7 +75,7 @@ class SvqCodec:
         return self.quantiser.books.to_bytes()
 
     def prepare(self, splats: Splats) -> Splats:
-        """Canonical axes, where the configuration has them."""
+        """Canonical axes, if the configuration uses them."""
         return self.quantiser.prepare(splats)
 
     def quantise(self, prepared: Splats) -> SvqSplats:
@@ -84,16 +84,16 @@ class SvqCodec:
         return SvqSplats(prepared.means, radii, self.quantiser.encode(prepared))
 
     def decode(self, coded: SvqSplats) -> Splats:
-        """All layers looked up."""
+        """Look up all layers."""
         return join_attributes(coded.means, self.quantiser.decode(coded.codes))
 
     def shown(self, coded: SvqSplats) -> Splats:
-        """One tile with all layers looked up and its positions rounded."""
+        """Look up all layers of one tile and round its positions."""
         grid = self.grid(coded)
         return self.decode(replace(coded, means=grid.dequantise(grid.quantise(coded.means))))
 
     def encode_tile(self, ids: Ids, coded: SvqSplats, *, id_range: bool) -> tuple[bytes, ...]:
-        """Positions and base layers by Draco, then one packed layer a LoD."""
+        """Positions and base layers, with positions by Draco; then one packed layer per LoD."""
         books = self.quantiser.books
         base = {name: books[name].layer(codes, 0) for name, codes in coded.codes.items()}
         payloads = [encode_base(ids, coded.means, base, self.grid(coded), books, id_range=id_range)]

@@ -1,1 +1,1 @@
-"""How a run is carried out: where frames are worked on, what is finished, what is told."""
+"""Execution of an encoder run: workers, records of finished frames, progress."""

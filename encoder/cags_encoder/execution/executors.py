@@ -1,6 +1,6 @@
-"""Where the work on frames runs: in this process, in a pool of processes, or on a dask cluster.
+"""Runs the work on frames: in this process, in a pool of processes, or on a dask cluster.
 
-All three are :class:`concurrent.futures.Executor`; which one it is changes no byte of a bundle.
+All three are :class:`concurrent.futures.Executor`; the choice does not change the bundle's bytes.
 """
 
 from __future__ import annotations
@@ -22,31 +22,31 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 AHEAD = 2
-"""Frames in flight a worker and stage: one that it works on, one that waits for it."""
+"""Frames in flight per worker and stage: one in work, one waiting."""
 
 ATTEMPTS = 3
-"""How often a cluster runs a task again whose worker went away."""
+"""How often a cluster repeats a task whose worker was lost."""
 
 CONNECT_TIMEOUT = "5s"
-"""How long a scheduler may take to answer."""
+"""Time limit for a scheduler's answer."""
 
 WORKER_TIMEOUT_S = 30
-"""How long the first worker may take to come."""
+"""Time limit for the first worker to appear."""
 
 
 @dataclass(frozen=True)
 class Workers:
-    """An executor, and how many tasks it runs at once."""
+    """An executor, and the number of tasks that it runs in parallel."""
 
     executor: Executor
     count: int
 
 
 class InlineExecutor(Executor):
-    """Runs every task at once, in the caller's thread."""
+    """Runs every task immediately in the caller's thread."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Run ``fn`` now."""
+        """Run ``fn`` immediately."""
         future: Future[Any] = Future()
         try:
             future.set_result(fn(*args, **kwargs))
@@ -59,7 +59,7 @@ INLINE = Workers(InlineExecutor(), 1)
 
 
 class Shared(Generic[T]):
-    """A value that many tasks take along. Each thread of a worker keeps one copy of it, with what that has cached."""
+    """A value shared by many tasks. Each thread of a worker keeps one copy, including what the value has cached."""
 
     _held = local()
 
@@ -67,7 +67,7 @@ class Shared(Generic[T]):
         self._key, self._value = uuid.uuid4().hex, value
 
     def get(self) -> T:
-        """The value."""
+        """Return the value."""
         return self._value
 
     def __getstate__(self) -> tuple[str, T]:
@@ -77,15 +77,15 @@ class Shared(Generic[T]):
         self._key, value = state
         held: dict[str, Any] = self._held.__dict__.setdefault("values", {})
         if self._key not in held and len(held) >= 2 * AHEAD:
-            held.clear()  # another clip's
+            held.clear()  # values of another clip
         self._value = held.setdefault(self._key, value)
 
 
 @contextmanager
 def open_workers(count: int | None, scheduler: str | None = None) -> Iterator[Workers]:
-    """``count`` worker processes (one a core for None, this process alone for 1), or the cluster of ``scheduler``.
+    """``count`` worker processes (None: one per core; 1: only this process), or the cluster of ``scheduler``.
 
-    Raises :class:`ConfigError` or :class:`NetworkError` where the cluster cannot be used.
+    Raises :class:`ConfigError` or :class:`NetworkError` if the cluster cannot be used.
     """
     if scheduler is not None:
         with _cluster(scheduler) as workers:
@@ -102,10 +102,10 @@ def open_workers(count: int | None, scheduler: str | None = None) -> Iterator[Wo
 def ahead(
     workers: Workers, task: Callable[..., R], items: Iterable[T], arguments: Callable[[T], tuple[Any, ...]]
 ) -> Iterator[tuple[T, R]]:
-    """Each of ``items`` with the result of ``task(*arguments(item))``, in order.
+    """Yield each of ``items`` with the result of ``task(*arguments(item))``, in order.
 
-    Items are drawn only as far ahead as keeps the workers busy, so that a chain of these holds few frames at a time.
-    Raises what a task raises, and :class:`BundleError` when a worker process dies.
+    Items are requested only as far ahead as keeps the workers busy, so a chain of these holds few frames at a time.
+    Raises a task's exceptions, and :class:`BundleError` if a worker process dies.
     """
     waiting: deque[tuple[T, Future[R]]] = deque()
     window = 1 if workers is INLINE else AHEAD * workers.count
@@ -118,7 +118,7 @@ def ahead(
             yield _first(waiting)
     except BrokenExecutor as error:
         raise BundleError(
-            "a worker process died, perhaps for want of memory; run again with fewer --workers: it continues"
+            "a worker process died, perhaps out of memory; run again with fewer --workers to continue"
         ) from error
     finally:
         for _, future in waiting:
@@ -148,6 +148,8 @@ def _cluster(scheduler: str) -> Iterator[Workers]:
         try:
             client.wait_for_workers(1, timeout=WORKER_TIMEOUT_S)
         except TimeoutError as error:
-            raise NetworkError(f"scheduler {scheduler}: has no workers; start some: dask worker {scheduler}") from error
+            raise NetworkError(
+                f"scheduler {scheduler}: has no workers; start one with: dask worker {scheduler}"
+            ) from error
         cores = sum(client.nthreads().values())
         yield Workers(client.get_executor(pure=False, retries=ATTEMPTS), cores)

@@ -1,8 +1,8 @@
-"""What a run has finished, kept beside the bundle: a killed run that is started again goes on from there.
+"""Records of a run's finished frames, kept beside the bundle, from which a killed run continues when started again.
 
-One file a frame, written whole or not at all, holds what the frame sends, packed; the rest of the encoder's state
-follows from reading and quantising the frames again. The journal belongs to one input, one set of settings and
-one set of codebooks; whatever differs starts it afresh. Plain arrays and JSON: nothing in it is evaluated.
+Each frame has one file, written atomically, with the packed content of the frame. The rest of the encoder's state is
+rebuilt by reading and quantising the frames again. A journal belongs to one input, one set of settings and one set of
+codebooks; if any differs, it starts afresh. It consists of plain arrays and JSON; nothing in it is evaluated.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ class FrameRecord:
 
 
 class Journal:
-    """Records of finished frames in ``folder``; use as a context manager. One process at a time may have it open.
+    """Records of finished frames in ``folder``; a context manager. Only one process at a time can open it.
 
-    ``key`` stands for the input and the settings. Raises :class:`BundleError` where another process has it open or the
+    ``key`` identifies the input and the settings. Raises :class:`BundleError` if another process has it open or the
     folder cannot be written.
     """
 
@@ -52,7 +52,7 @@ class Journal:
             raise BundleError(f"{folder}: another process encodes this bundle; wait for it or stop it") from error
         except OSError as error:
             raise BundleError(
-                f"{folder}: cannot be written ({error.strerror or error}); --no-resume keeps no records"
+                f"{folder}: cannot be written ({error.strerror or error}); use --no-resume to keep no records"
             ) from error
         self._belongs_to("input", key)
 
@@ -63,30 +63,30 @@ class Journal:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._folder.is_dir() and not any(self._folder.glob("*.npz")):
-            shutil.rmtree(self._folder, ignore_errors=True)  # nothing to go on with
+            shutil.rmtree(self._folder, ignore_errors=True)  # no finished frames
         self._lock.close()
 
     def codebooks(self, data: bytes) -> None:
-        """Keep the records only if they were made with codebooks ``data``."""
+        """Keep the records only if they were made with the codebooks ``data``."""
         self._belongs_to("codebooks", hashlib.sha256(data).hexdigest())
 
     def note(self, name: str) -> Any:
-        """A JSON value kept by :meth:`write_note`, or None."""
+        """A JSON value stored by :meth:`write_note`, or None."""
         try:
             return json.loads((self._folder / f"{name}.json").read_bytes())
         except (OSError, ValueError):
             return None
 
     def write_note(self, name: str, value: Any) -> None:
-        """Keep a JSON value."""
+        """Store a JSON value."""
         write_whole(self._folder / f"{name}.json", json.dumps(value).encode())
 
     def has(self, index: int) -> bool:
-        """Whether there is a record of frame ``index``; it may be damaged."""
+        """Whether a record of frame ``index`` exists; it may be damaged."""
         return (self._folder / _name(index)).is_file()
 
     def frame(self, index: int) -> FrameRecord | None:
-        """The record of frame ``index``, or None where it is not finished (or its file is damaged)."""
+        """The record of frame ``index``, or None if it does not exist or is damaged."""
         try:
             with (self._folder / _name(index)).open("rb") as file, np.load(file, allow_pickle=False) as arrays:
                 return _record(dict(arrays))
@@ -94,18 +94,18 @@ class Journal:
             return None
 
     def add(self, index: int, record: FrameRecord) -> None:
-        """Keep the record of frame ``index``. Raises :class:`OutputError` where the disk is full."""
+        """Store the record of frame ``index``. Raises :class:`OutputError` if the disk is full."""
         with whole_file(self._folder / _name(index)) as writing, writing.open("wb") as file:
             np.savez(file, **_arrays(record))
 
     def discard(self) -> None:
-        """Delete everything: the bundle is complete, or the run is not worth going on with."""
+        """Delete everything: the bundle is complete, or the run cannot be continued."""
         self._lock.close()
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _belongs_to(self, what: str, key: str) -> None:
+    def _belongs_to(self, kind: str, key: str) -> None:
         """Drop all records and notes unless they were made for ``key``."""
-        path = self._folder / f"{what}.key"
+        path = self._folder / f"{kind}.key"
         if path.is_file() and path.read_text() == key:
             return
         for old in self._folder.iterdir():

@@ -1,4 +1,4 @@
-"""Progress on stderr: a bar in a terminal, a line now and then in a pipe or a log."""
+"""Progress on stderr: a bar in a terminal, occasional lines in a pipe or log."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from contextlib import contextmanager
 from typing import TextIO
 
 Tell = Callable[[str, int, int], None]
-"""Called with the stage's name, steps done and steps in all."""
+"""Called with the stage's name, completed steps and total steps."""
 
 LINE_EVERY_S = 5.0
-"""Seconds between two lines where stderr is no terminal; what is done sooner says nothing."""
+"""Seconds between two lines if stderr is not a terminal; shorter runs print nothing."""
 
 _TITLES = {
     "prune": "pruning",
-    "sample": "looking at frames",
+    "sample": "sampling frames",
     "codebooks": "training codebooks",
     "order": "measuring levels",
     "encode": "encoding frames",
@@ -26,9 +26,9 @@ _TITLES = {
 
 @contextmanager
 def progress_bar(*, lines: bool = False) -> Iterator[Tell]:
-    """Yield the callback that :func:`~cags_encoder.pipeline.encode` takes; one bar a stage, gone when all is done.
+    """Yield the callback that :func:`~cags_encoder.pipeline.encode` takes; one bar per stage, removed at the end.
 
-    Where stderr is no terminal nothing is shown, or with ``lines`` a line now and then.
+    If stderr is not a terminal, nothing is shown, or occasional lines if ``lines``.
     """
     if not sys.stderr.isatty():
         yield progress_lines(sys.stderr, time.monotonic) if lines else _silent
@@ -50,7 +50,7 @@ def progress_bar(*, lines: bool = False) -> Iterator[Tell]:
 
 
 def _silent(stage: str, done: int, total: int) -> None:
-    """Where nobody looks."""
+    """Show nothing."""
 
 
 def progress_lines(stream: TextIO, clock: Callable[[], float]) -> Tell:

@@ -1,8 +1,9 @@
-"""PlayCanvas' compressed PLY: chunks of 256 splats, each splat packed into four words between its chunk's bounds.
+"""PlayCanvas' compressed PLY: chunks of 256 splats, each splat packed into four words relative to its chunk's bounds.
 
-Words of a splat: position 11-10-11 bits, rotation 2-10-10-10 (index of the largest component, then the others),
-logarithmic scale 11-10-11, colour and opacity 8-8-8-8. Chunks may lack colour bounds (then 0..1); an element ``sh`` of
-bytes holds the view-dependent coefficients. Described by https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/ply/
+The words: position 11-10-11 bits, rotation 2-10-10-10 (index of the largest component, then the others), logarithmic
+scale 11-10-11, colour and opacity 8-8-8-8. Chunks may lack colour bounds (then 0..1). An element ``sh`` of bytes holds
+the view-dependent coefficients.
+Described by https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/ply/
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from cags_encoder.formats.ply_container import (
 from cags_encoder.formats.repair import Check
 
 CHUNK = 256
-"""Splats that share one row of bounds."""
+"""Number of splats that share one row of bounds."""
 
 PACKED = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
 SH_RANGE = 8.0
@@ -45,14 +46,14 @@ SH_RANGE = 8.0
 
 
 def is_compressed_ply(header: PlyHeader) -> bool:
-    """Whether a PLY file is of this kind."""
+    """Whether a PLY file has this format."""
     vertex = header.element("vertex")
     return vertex is not None and any(name == "packed_position" for name, _ in vertex.properties)
 
 
 @quietly
 def parse_compressed_ply(data: bytes, source: str, check: Check = Splats.checked) -> Splats:
-    """The splats of a compressed PLY file's bytes; ``source`` names it in errors. Raises :class:`SceneError`."""
+    """Splats from the bytes of a compressed PLY file; ``source`` names it in errors. Raises :class:`SceneError`."""
     header = parse_header(data, source)
     _check_header(header, source)
     rows = read_rows(data, header, source)
@@ -74,7 +75,7 @@ def parse_compressed_ply(data: bytes, source: str, check: Check = Splats.checked
 def _check_header(header: PlyHeader, source: str) -> None:
     vertex, chunk, sh = (header.element(name) for name in ("vertex", "chunk", "sh"))
     if vertex is None or chunk is None:
-        raise SceneError(f"{source}: lacks PLY element 'vertex' or 'chunk'; this is no compressed PLY of splats")
+        raise SceneError(f"{source}: lacks PLY element 'vertex' or 'chunk'; this is not a compressed PLY of splats")
     count = check_count(vertex.count, source)
     check_properties(vertex, PACKED, source)
     for prefix in ("", "scale_"):
@@ -82,7 +83,7 @@ def _check_header(header: PlyHeader, source: str) -> None:
     if any(name.endswith(("_r", "_g", "_b")) for name, _ in chunk.properties):
         check_properties(chunk, _bounds_names("", "rgb"), source)
     if chunk.count < -(-count // CHUNK):
-        raise SceneError(f"{source}: has {chunk.count} chunks for {count} splats, {-(-count // CHUNK)} are needed")
+        raise SceneError(f"{source}: has {chunk.count} chunks for {count} splats; {-(-count // CHUNK)} are needed")
     if sh is not None and sh.count != count:
         raise SceneError(f"{source}: has SH coefficients for {sh.count} of {count} splats; repair the file")
 
@@ -92,15 +93,15 @@ def _bounds_names(prefix: str, axes: str) -> list[str]:
 
 
 class _Bounds:
-    """Chunk bounds, looked up for each splat."""
+    """Bounds of chunks, looked up per splat."""
 
     def __init__(self, chunk: NDArray[np.void], of_splat: NDArray[np.intp]) -> None:
         self._chunk, self._of_splat = chunk, of_splat
 
     def lerp(self, unit: F32, axes: str, prefix: str) -> F32:
-        """``unit`` [N, 3] in 0..1 placed between ``min_<prefix><axis>`` and ``max_<prefix><axis>``."""
+        """Scale ``unit`` [N, 3] from 0..1 to ``min_<prefix><axis>`` .. ``max_<prefix><axis>``."""
         names = self._chunk.dtype.names or ()
-        if f"min_{prefix}{axes[0]}" not in names:  # colour bounds came with later versions
+        if f"min_{prefix}{axes[0]}" not in names:  # early versions have no colour bounds
             return unit
         low, high = (columns(self._chunk, [f"{end}_{prefix}{axis}" for axis in axes]) for end in ("min", "max"))
         span = (high - low)[self._of_splat]
@@ -108,7 +109,7 @@ class _Bounds:
 
 
 def _fields(words: NDArray[np.uint32], bits: tuple[int, ...]) -> NDArray[np.uint32]:
-    """Split 32-bit words into fields, most significant first: [N, len(bits)]."""
+    """Fields [N, len(bits)] of 32-bit words, most significant first."""
     shifts = [sum(bits[i + 1 :]) for i in range(len(bits))]
     return np.stack(
         [(words >> np.uint32(s)) & np.uint32((1 << b) - 1) for s, b in zip(shifts, bits, strict=True)], axis=1
@@ -136,10 +137,10 @@ def _sh_rest(rows: NDArray[np.void] | None, header: PlyHeader, count: int, sourc
 
 
 def compressed_ply_bytes(splats: Splats) -> bytes:
-    """A compressed PLY file of ``splats`` in Morton order: neighbours share chunks, so that bounds are tight.
+    """A compressed PLY file of ``splats`` in Morton order. Neighbours then share chunks, which keeps bounds tight.
 
-    Positions, scales and colours are off by at most half a step of their chunk's range (2047, 1023 or 255 steps),
-    rotations by half a step of 1.42/1023 in three components.
+    Errors of positions, scales and colours are at most half a step of their chunk's range (2047, 1023 or 255 steps),
+    those of rotations half a step of 1.42/1023 in three components.
     """
     ordered = splats.take(morton_order(splats.means))
     count = len(ordered)
@@ -165,7 +166,7 @@ def compressed_ply_bytes(splats: Splats) -> bytes:
 
 
 def _chunk_units(values: F32) -> tuple[F32, F32, F64]:
-    """Bounds [C, 3] of each chunk of ``values`` [N, 3], and the values [N, 3] as shares of their chunk's range."""
+    """Bounds [C, 3] of each chunk of ``values`` [N, 3], and the values [N, 3] as fractions of their chunk's range."""
     starts = np.arange(0, len(values), CHUNK)
     low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
     of_splat = np.arange(len(values)) // CHUNK

@@ -1,4 +1,4 @@
-"""Reading files of unknown worth: every failure becomes one :class:`SceneError` line that names the file."""
+"""Reads untrusted files: every failure becomes a one-line :class:`SceneError` that names the file."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from cags_common.geometry import F32, F64
 from cags_common.splats import MAX_SPLATS
 
 MAX_FILE_BYTES = 8 << 30
-"""Largest scene file that is read: 20 million splats of SH degree 3, as double precision PLY."""
+"""Largest scene file accepted: 20 million splats of SH degree 3 as double-precision PLY."""
 
 MIN_SCALE = 1e-9
-"""Standard deviations (world units) below this, zero included, are taken as this: their logarithm stays finite."""
+"""Smaller standard deviations (world units), including zero, are raised to this, so that their logarithm is finite."""
 
 quietly = np.errstate(all="ignore")
-"""Decorates parsers: absurd numbers become infinite or NaN without a warning, and the check at their end names them."""
+"""Decorator for parsers: absurd values become infinite or NaN without a warning, and the final check reports them."""
 
 MIN_OPACITY = 1e-6
 """Quantised opacities are kept this far from 0 and 1, so that their logit stays finite (13.8)."""
@@ -31,41 +31,41 @@ def read_file(path: Path, max_bytes: int = MAX_FILE_BYTES) -> bytes:
         with path.open("rb") as file:
             size = path.stat().st_size
             if size > max_bytes:
-                raise SceneError(f"{path}: is {size} bytes long; at most {max_bytes} are read")
+                raise SceneError(f"{path}: is {size} bytes long; the limit is {max_bytes}")
             data = file.read(max_bytes + 1)
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({error.strerror}); give an existing scene file") from error
     if not data:
         raise SceneError(f"{path}: is empty; give a file that holds splats")
     if len(data) > max_bytes:
-        raise SceneError(f"{path}: is over {max_bytes} bytes long; give a file of splats")
+        raise SceneError(f"{path}: is longer than {max_bytes} bytes; give a smaller file")
     return data
 
 
 def check_count(count: int, source: str) -> int:
-    """``count`` splats, if a file may claim that many. Raises :class:`SceneError`."""
+    """Return ``count`` if a file may hold that many splats. Raises :class:`SceneError`."""
     if count < 1:
         raise SceneError(f"{source}: holds no splats; give a file with at least one")
     if count > MAX_SPLATS:
-        raise SceneError(f"{source}: claims {count} splats; at most {MAX_SPLATS} are read")
+        raise SceneError(f"{source}: claims {count} splats; the limit is {MAX_SPLATS}")
     return count
 
 
 def log_of_scales(scales: NDArray[np.floating[Any]]) -> F32:
-    """Natural logarithm of linear scales; zero and less become :data:`MIN_SCALE`, NaN stays for the check to name."""
+    """Natural logarithm of linear scales. Zero and less become :data:`MIN_SCALE`; NaN is left for the final check."""
     logarithms: F32 = np.log(np.maximum(scales, np.float32(MIN_SCALE))).astype(np.float32)
     return logarithms
 
 
 def logit_of_bytes(alpha: NDArray[np.uint8]) -> F32:
-    """Logits of opacities that were stored as bytes, 0 meaning 0 and 255 meaning 1."""
+    """Logits of opacities stored as bytes (0 means 0, 255 means 1)."""
     p = np.clip(np.arange(256) / 255.0, MIN_OPACITY, 1.0 - MIN_OPACITY)
     table: F32 = np.log(p / (1.0 - p)).astype(np.float32)
     return table[alpha]
 
 
 def smallest_three(largest: NDArray[np.integer[Any]], others: NDArray[np.floating[Any]]) -> F32:
-    """Unit quaternions [N, 4] from the index [N] of their largest component and the ``others`` [N, 3] in order."""
+    """Unit quaternions [N, 4] from the index [N] of the largest component and the three ``others`` [N, 3] in order."""
     n = len(largest)
     rows = np.arange(n)
     slots = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[largest]
@@ -76,7 +76,7 @@ def smallest_three(largest: NDArray[np.integer[Any]], others: NDArray[np.floatin
 
 
 def directed(quats: F32) -> F32:
-    """``quats`` [N, 4] with those too short to have a direction (a quantised zero) replaced by the identity."""
+    """``quats`` [N, 4]; those too short to have a direction (a quantised zero) become the identity."""
     short = np.sum(np.square(quats), axis=1) < 1e-12
     if short.any():
         quats = quats.copy()
@@ -85,7 +85,7 @@ def directed(quats: F32) -> F32:
 
 
 def split_largest(quats: F32) -> tuple[NDArray[np.intp], F64]:
-    """Inverse of :func:`smallest_three`: index [N] of the largest component, made positive, and the others [N, 3]."""
+    """Inverse of :func:`smallest_three`: index [N] of the largest component (made positive) and the others [N, 3]."""
     wide = quats.astype(np.float64)
     largest = np.argmax(np.abs(wide), axis=1)
     rows = np.arange(len(wide))
@@ -95,6 +95,6 @@ def split_largest(quats: F32) -> tuple[NDArray[np.intp], F64]:
 
 
 def bytes_of_logits(logits: F32) -> NDArray[np.uint8]:
-    """Opacities as bytes, the nearest of 0/255 .. 255/255."""
+    """Opacities as the nearest byte (0/255 .. 255/255)."""
     wide = np.clip(logits.astype(np.float64), -30.0, 30.0)
     return np.round(255.0 / (1.0 + np.exp(-wide))).astype(np.uint8)

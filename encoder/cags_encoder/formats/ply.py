@@ -1,7 +1,7 @@
-"""PLY of Gaussians as the 3DGS reference implementation writes it (Kerbl et al. 2023), SH degrees 0 to 3.
+"""PLY of Gaussians as written by the 3DGS reference implementation (Kerbl et al. 2023), SH degrees 0 to 3.
 
-Properties may come in any order and of any scalar type; normals and properties of other methods are ignored.
-Frame: that of the capture, y down for COLMAP reconstructions.
+Properties may have any order and scalar type. Normals and the properties of other methods are ignored.
+Frame: that of the capture; y points down in COLMAP reconstructions.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ OPACITY = ["opacity"]  # logit
 
 @quietly
 def parse_ply(data: bytes, source: str, check: Check = Splats.checked) -> Splats:
-    """The splats of a PLY file's bytes; ``source`` names it in errors. Raises :class:`SceneError`."""
+    """Splats from the bytes of a PLY file; ``source`` names it in errors. Raises :class:`SceneError`."""
     header = parse_header(data, source)
     vertex = header.element("vertex")
     if vertex is None:
@@ -48,23 +48,25 @@ def parse_ply(data: bytes, source: str, check: Check = Splats.checked) -> Splats
         log_scales=columns(rows, SCALES),
         logit_opacities=columns(rows, OPACITY)[:, 0],
         sh0=columns(rows, SH0),
-        sh_rest=rest.transpose(0, 2, 1),  # the file keeps a colour channel's coefficients together
+        sh_rest=rest.transpose(0, 2, 1),  # the file groups coefficients by colour channel
     )
     return check(splats, source)
 
 
 def sh_rest_names(element: PlyElement, source: str) -> list[str]:
-    """``f_rest_0..`` in order. Raises :class:`SceneError` unless their number makes a whole degree."""
+    """``f_rest_0..`` in order. Raises :class:`SceneError` unless their number fits an SH degree."""
     count = sum(name.startswith("f_rest_") for name, _ in element.properties)
     if count not in {3 * k for k in SH_REST_OF_DEGREE}:
-        raise SceneError(f"{source}: has {count} f_rest properties; 0, 9, 24 or 45 make SH degree 0, 1, 2 or 3")
+        raise SceneError(
+            f"{source}: has {count} f_rest properties; 0, 9, 24 or 45 are needed for SH degree 0, 1, 2 or 3"
+        )
     names = [f"f_rest_{i}" for i in range(count)]
     check_properties(element, names, source)
     return names
 
 
 def ply_bytes(splats: Splats) -> bytes:
-    """A PLY file of ``splats``, row by row, as the reference implementation writes it; nothing is lost."""
+    """A PLY file of ``splats`` in their order, as the reference implementation writes it; lossless."""
     k = splats.sh_rest.shape[1]
     names = [*MEANS, "nx", "ny", "nz", *SH0, *(f"f_rest_{i}" for i in range(3 * k)), *OPACITY, *SCALES, *QUATS]
     rest = splats.sh_rest.transpose(0, 2, 1).reshape(len(splats), 3 * k)

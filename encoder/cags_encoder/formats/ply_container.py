@@ -1,7 +1,7 @@
-"""The PLY container: its text header and its elements, for formats that are built on it.
+"""The PLY container: its text header and elements, shared by the formats built on it.
 
-The layout follows Turk's PLY description. Binary files of either byte order and text files are read; list properties
-hold no splats in practice and are refused by name.
+The layout follows Turk's description of PLY. Binary files of either byte order and text files are supported. List
+properties are refused with their name; files of splats do not use them.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _COUNT = re.compile(r"\A[0-9]{1,12}\Z", re.ASCII)
 
 @dataclass(frozen=True, slots=True)
 class PlyElement:
-    """One element: its name, how many rows the header claims, and the record of a row."""
+    """One element: its name, the number of rows that the header gives, and the layout of a row."""
 
     name: str
     count: int
@@ -65,13 +65,13 @@ class PlyHeader:
 
 
 def parse_header(data: bytes, source: str) -> PlyHeader:
-    """Read the header at the start of ``data``; ``source`` names the file in errors. Raises :class:`SceneError`."""
+    """Parse the header at the start of ``data``; ``source`` names the file in errors. Raises :class:`SceneError`."""
     if not data.startswith((b"ply\n", b"ply\r\n")):
         raise SceneError(f"{source}: is not a PLY file (it begins with {bytes(data[:4])!r}); check the file's type")
     end = re.search(rb"\nend_header\r?\n", data[:MAX_HEADER_BYTES])
     if end is None:
         raise SceneError(
-            f"{source}: its PLY header has no end_header line in {MAX_HEADER_BYTES} bytes; the file is cut"
+            f"{source}: its PLY header has no end_header line in {MAX_HEADER_BYTES} bytes; the file is cut short"
         )
     order, text, elements = "", False, list[PlyElement]()
     for line in data[: end.start()].decode("latin-1").splitlines()[1:]:
@@ -82,7 +82,7 @@ def parse_header(data: bytes, source: str) -> PlyHeader:
             case ["format", kind, _] if kind in _ORDERS:
                 order, text = _ORDERS[kind], kind == _TEXT
             case ["format", kind, *_]:
-                raise SceneError(f"{source}: PLY format {kind!r} is not read; convert it to binary_little_endian")
+                raise SceneError(f"{source}: PLY format {kind!r} is not supported; convert it to binary_little_endian")
             case ["element", name, count] if _COUNT.match(count) and len(elements) < MAX_ELEMENTS:
                 elements.append(PlyElement(name, int(count), ()))
             case ["property", kind, name] if kind in _TYPES and elements and order:
@@ -94,7 +94,7 @@ def parse_header(data: bytes, source: str) -> PlyHeader:
 
 def _with_property(element: PlyElement, name: str, kind: str, source: str) -> PlyElement:
     if any(name == known for known, _ in element.properties):
-        raise SceneError(f"{source}: property {name!r} is given twice in its PLY header; repair the file")
+        raise SceneError(f"{source}: property {name!r} appears twice in its PLY header; repair the file")
     if len(element.properties) >= MAX_PROPERTIES:
         raise SceneError(
             f"{source}: element {element.name!r} has over {MAX_PROPERTIES} properties; is this a splat file?"
@@ -103,7 +103,7 @@ def _with_property(element: PlyElement, name: str, kind: str, source: str) -> Pl
 
 
 def read_rows(data: bytes, header: PlyHeader, source: str) -> dict[str, NDArray[np.void]]:
-    """Each element's rows: views of ``data``, unless it is text. Raises :class:`SceneError` for truncated files."""
+    """Rows of each element: views of ``data`` unless it is text. Raises :class:`SceneError` for truncated files."""
     if header.text:
         return _text_rows(data, header, source)
     rows: dict[str, NDArray[np.void]] = {}
@@ -121,11 +121,11 @@ def read_rows(data: bytes, header: PlyHeader, source: str) -> dict[str, NDArray[
 
 
 def _text_rows(data: bytes, header: PlyHeader, source: str) -> dict[str, NDArray[np.void]]:
-    """A row a line, values between blanks. Raises :class:`SceneError`."""
+    """Parse one row per line, values separated by blanks. Raises :class:`SceneError`."""
     lines = io.TextIOWrapper(io.BytesIO(memoryview(data)[header.body :]), encoding="latin-1")
     rows: dict[str, NDArray[np.void]] = {}
     for element in header.elements:
-        if 2 * element.count * len(element.properties) > len(data) - header.body + 1:  # a digit and a blank each
+        if 2 * element.count * len(element.properties) > len(data) - header.body + 1:  # at least two bytes a value
             raise SceneError(f"{source}: is cut short: element {element.name!r} claims {element.count} rows")
         rows[element.name] = np.zeros(element.count, element.dtype)
         if not element.count or not element.properties:
@@ -137,15 +137,17 @@ def _text_rows(data: bytes, header: PlyHeader, source: str) -> dict[str, NDArray
 
 
 def _table(lines: Iterable[str], element: PlyElement, source: str) -> NDArray[np.float64]:
-    """[rows, properties] of an element's ``lines``."""
+    """The table [rows, properties] in an element's ``lines``."""
     try:
-        with warnings.catch_warnings(action="ignore"):  # of no lines at all, which the shape tells
+        with warnings.catch_warnings(action="ignore"):  # about empty input, which the shape check reports
             table: NDArray[np.float64] = np.loadtxt(lines, np.float64, comments=None, ndmin=2)
     except ValueError as error:
-        raise SceneError(f"{source}: element {element.name!r} is not rows of numbers ({error})") from error
+        raise SceneError(f"{source}: element {element.name!r} does not consist of rows of numbers ({error})") from error
     if table.shape != (element.count, len(element.properties)):
         wanted = f"{element.count} rows of {len(element.properties)} numbers"
-        raise SceneError(f"{source}: element {element.name!r} has {table.shape[0]} of {table.shape[1]}, not {wanted}")
+        raise SceneError(
+            f"{source}: element {element.name!r} has {table.shape[0]} rows of {table.shape[1]}, not {wanted}"
+        )
     return table
 
 
@@ -154,7 +156,7 @@ def _no_rows(element: PlyElement) -> NDArray[np.void]:
 
 
 def columns(rows: NDArray[np.void], names: list[str]) -> NDArray[np.float32]:
-    """The named properties as the columns of [N, len(names)] float32."""
+    """The named properties as columns, [N, len(names)] float32."""
     out = np.empty((len(rows), len(names)), np.float32)
     for column, name in enumerate(names):
         out[:, column] = rows[name]
@@ -162,7 +164,7 @@ def columns(rows: NDArray[np.void], names: list[str]) -> NDArray[np.float32]:
 
 
 def check_properties(element: PlyElement, names: list[str], source: str) -> None:
-    """Raise :class:`SceneError` naming the first of ``names`` that ``element`` lacks."""
+    """Raise :class:`SceneError` if ``element`` lacks one of ``names``, naming the first."""
     known: set[Any] = {name for name, _ in element.properties}
     for name in names:
         if name not in known:
@@ -170,5 +172,5 @@ def check_properties(element: PlyElement, names: list[str], source: str) -> None
 
 
 def header_bytes(lines: list[str]) -> bytes:
-    """A PLY header, little-endian, of the given element and property ``lines``."""
+    """A little-endian PLY header with the given element and property ``lines``."""
     return "\n".join(["ply", "format binary_little_endian 1.0", *lines, "end_header", ""]).encode("ascii")

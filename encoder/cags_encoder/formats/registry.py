@@ -1,4 +1,4 @@
-"""Which format a file is of, by its name and its first bytes."""
+"""Detects the format of a file from its name and first bytes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Y_UP: Vec3 = (0.0, 1.0, 0.0)
 
 
 class Parser(Protocol):
-    """Reads a file's bytes."""
+    """Parses the bytes of a file."""
 
     def __call__(self, data: bytes, source: str, check: Check = Splats.checked) -> Splats:
         """The splats in ``data``; ``source`` names the file in errors. Raises :class:`SceneError`."""
@@ -41,10 +41,10 @@ class Format:
     """One file format."""
 
     name: str
-    suffix: str  # lower case, with its dot
+    suffix: str  # lower case, including the dot
     parse: Parser
     write: Callable[[Splats], bytes]
-    up: Vec3  # usual up direction; files do not record theirs
+    up: Vec3  # usual up direction; files do not record it
 
 
 FORMATS: dict[str, Format] = {
@@ -61,20 +61,20 @@ SUFFIXES = tuple(sorted({f".{entry.suffix.rpartition('.')[2]}" for entry in FORM
 """Last suffixes of single-file formats."""
 
 META = "meta.json"
-"""The file that makes a folder an unbundled SOG data set."""
+"""A folder that contains this file is an unbundled SOG data set."""
 
 
 def detect_format(path: Path, data: bytes) -> Format:
-    """The format of a file from its name, and for ``.ply`` its content. Raises :class:`SceneError`."""
+    """The format of a file by its name and, for ``.ply``, its content. Raises :class:`SceneError`."""
     if path.suffix.lower() == ".ply":
         return FORMATS["compressed-ply" if is_compressed_ply(parse_header(data, str(path))) else "ply"]
     return format_of_name(path)
 
 
 def read_splats(path: Path, check: Check = Splats.checked) -> tuple[Splats, Format]:
-    """Read one file, or one folder that holds an unbundled SOG; ``check`` decides on splats that cannot be drawn.
+    """Read one file, or a folder with an unbundled SOG; ``check`` decides what happens to splats that cannot be drawn.
 
-    Raises :class:`SceneError` in one line.
+    Raises :class:`SceneError`.
     """
     if path.name == META:
         path = path.parent
@@ -90,9 +90,9 @@ def read_splats(path: Path, check: Check = Splats.checked) -> tuple[Splats, Form
 
 
 def write_splats(path: Path, splats: Splats) -> Format:
-    """Write ``splats`` in the format that the name of ``path`` asks for; a file is there whole or not at all.
+    """Write ``splats`` in the format given by the suffix of ``path``, atomically.
 
-    Raises :class:`SceneError` for unknown suffixes and :class:`OutputError` for places that cannot be written.
+    Raises :class:`SceneError` for unknown suffixes and :class:`OutputError` if the file cannot be written.
     """
     entry = format_of_name(path)
     write_whole(path, entry.write(splats))
@@ -100,7 +100,7 @@ def write_splats(path: Path, splats: Splats) -> Format:
 
 
 def format_of_name(path: Path) -> Format:
-    """The format that a file's name asks for. Raises :class:`SceneError` for unknown suffixes."""
+    """The format given by a file's name. Raises :class:`SceneError` for unknown suffixes."""
     name = path.name.lower()
     matching = [entry for entry in FORMATS.values() if name.endswith(entry.suffix)]
     if not matching:

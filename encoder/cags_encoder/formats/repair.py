@@ -1,7 +1,7 @@
-"""What is done about splats that cannot be drawn: real files hold NaN, infinities and rotations without direction.
+"""Handles splats that cannot be drawn: real files contain NaN, infinities and zero-length rotations.
 
-Parsers end in a check. The usual one, :meth:`Splats.checked`, refuses the file and names the first such value;
-:class:`DropBroken` leaves such splats out and says how many.
+Each parser ends with a check. The usual one, :meth:`Splats.checked`, refuses the file and names the first bad value;
+:class:`DropBroken` leaves such splats out and reports their number.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from cags_common.errors import SceneError
 from cags_common.splats import MAX_COORDINATE, Splats
 
 Check: TypeAlias = Callable[[Splats, str], Splats]
-"""Takes what a parser read and the file's name, gives checked splats or raises :class:`SceneError`."""
+"""Takes parsed splats and the file's name; returns checked splats or raises :class:`SceneError`."""
 
 REPAIRS = ("none", "drop")
 
@@ -28,7 +28,7 @@ _said: set[tuple[str, int]] = set()
 
 
 def drawable(splats: Splats) -> NDArray[np.bool_]:
-    """Which splats [n] can be drawn: finite and within reach, the rotation with a direction.
+    """Which splats [n] can be drawn: all values finite, positions within the limit, rotation not of length zero.
 
     An opacity logit may be infinite.
     """
@@ -41,24 +41,24 @@ def drawable(splats: Splats) -> NDArray[np.bool_]:
 
 
 class DropBroken:
-    """A check that leaves out splats that cannot be drawn. Remembers which rows it kept."""
+    """A check that leaves out splats that cannot be drawn, and remembers which rows it kept."""
 
     def __init__(self) -> None:
         self.kept: NDArray[np.int32] = np.zeros(0, np.int32)
-        """Rows of the last file, as it has them, that were kept."""
+        """Indices of the rows of the last file that were kept."""
 
     def __call__(self, splats: Splats, source: str) -> Splats:
-        """The drawable ones of ``splats``, checked. Says how many were left out, once a file and process."""
+        """The drawable splats, checked. Logs how many were left out, once per file and process."""
         with np.errstate(all="ignore"):
             good = drawable(splats)
         self.kept = np.flatnonzero(good).astype(np.int32)
         gone = len(good) - len(self.kept)
         if gone == len(good):
-            raise SceneError(f"{source}: none of its {gone} splats can be drawn; give another file")
+            raise SceneError(f"{source}: all of its {gone} splats have invalid values; give another file")
         if gone and (source, gone) not in _said:
             _said.add((source, gone))
             _log.warning(
-                "%s: left out %d of %d splats that hold values that are not finite, or a rotation of length zero",
+                "%s: left out %d of %d splats with non-finite values or a rotation of length zero",
                 source,
                 gone,
                 len(good),

@@ -1,7 +1,7 @@
 """PlayCanvas' SOG ("spatially ordered Gaussians"), versions 1 and 2: lossless images beside a ``meta.json``.
 
-Either a folder of the files or a zip of them (``.sog``). Frame: right, up, back by its specification, but converters
-keep the capture's own frame, which is y down for most. Described by
+A data set is a folder of these files or a zip of them (``.sog``). The specified frame is right, up, back, but
+converters keep the capture's frame, which usually has y down. Described by
 https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog/.
 """
 
@@ -23,10 +23,10 @@ PALETTE_ROW = 64
 """Centroids in one row of the palette image."""
 
 MAX_PALETTE = 65_536
-"""SH palettes are indexed by 16 bits."""
+"""SH palettes use 16-bit indices."""
 
 QUAT_TAG = 252
-"""Alpha 252..255 names the largest component of a rotation; any other value means the identity."""
+"""Alpha 252..255 gives the largest component of a rotation; any other value means the identity."""
 
 
 @quietly
@@ -37,7 +37,7 @@ def parse_sog(files: SogFiles, check: Check = Splats.checked) -> Splats:
         return _parse_v1(files, meta, check)
     version = meta.integer("version", 0, 2**31)
     if version != 2:
-        raise SceneError(f"{files.source}: is SOG version {version}; versions 1 and 2 are read")
+        raise SceneError(f"{files.source}: is SOG version {version}; versions 1 and 2 are supported")
     count = check_count(meta.integer("count", -(2**63), 2**63), files.source)
     sh0 = files.texels(meta.file("sh0", 0, 1), count)
     splats = Splats(
@@ -52,12 +52,12 @@ def parse_sog(files: SogFiles, check: Check = Splats.checked) -> Splats:
 
 
 def parse_sog_bytes(data: bytes, source: str, check: Check = Splats.checked) -> Splats:
-    """The splats of a bundled SOG file's bytes; ``source`` names it in errors. Raises :class:`SceneError`."""
+    """Splats from the bytes of a bundled SOG file; ``source`` names it in errors. Raises :class:`SceneError`."""
     return parse_sog(SogFiles.from_bytes(data, source), check)
 
 
 def _parse_v1(files: SogFiles, meta: SogMeta, check: Check) -> Splats:
-    """Version 1 (``sogs``): the same images, but linear ranges in place of codebooks, and the opacity as a logit."""
+    """Version 1 (``sogs``): the same images, but linear ranges instead of codebooks, and opacity as a logit."""
     shape = meta.numbers("means.shape", 2)
     count = check_count(int(min(shape[0], 1e9)) if np.isfinite(shape[0]) else 0, files.source)
     sh0 = _lerp(files.texels(meta.file("sh0", 0, 1), count), meta, "sh0", 4)
@@ -78,7 +78,7 @@ def _lerp(bytes_: NDArray[np.uint8], meta: SogMeta, name: str, width: int) -> F3
 
 
 def sog_means(files: SogFiles, meta: SogMeta, count: int) -> F32:
-    """Positions [count, 3]: 16 bits an axis in two images, logarithmic on both sides of zero."""
+    """Positions [count, 3]: 16 bits per axis in two images, logarithmic on both sides of zero."""
     low, high = meta.numbers("means.mins", 3), meta.numbers("means.maxs", 3)
     lower, upper = (files.texels(meta.file("means", i, 2), count)[:, :3] for i in range(2))
     words = lower.astype(np.uint16) | (upper.astype(np.uint16) << 8)
@@ -87,7 +87,7 @@ def sog_means(files: SogFiles, meta: SogMeta, count: int) -> F32:
 
 
 def sog_quats(files: SogFiles, meta: SogMeta, count: int) -> F32:
-    """Rotations [count, 4] ``wxyz``: three components a byte each, the largest one implied."""
+    """Rotations [count, 4] ``wxyz``: three components of one byte each; the largest is implied."""
     rgba = files.texels(meta.file("quats", 0, 1), count)
     others = (rgba[:, :3] / np.float32(255.0) * 2 - 1) * np.float32(np.sqrt(0.5))
     tag = rgba[:, 3].astype(np.intp) - QUAT_TAG
@@ -114,7 +114,9 @@ def _sh_rest_v1(files: SogFiles, meta: SogMeta, count: int) -> F32:
     width, height = files.size(meta.file("shN", 0, 2))
     coefficients = width // PALETTE_ROW
     if width % PALETTE_ROW or coefficients not in SH_REST_OF_DEGREE[1:]:
-        raise SceneError(f"{files.source}: its SH palette is {width} px wide; 192, 512 or 960 make degree 1, 2 or 3")
+        raise SceneError(
+            f"{files.source}: its SH palette is {width} px wide; 192, 512 or 960 are needed for degree 1, 2 or 3"
+        )
     low, high = meta.number("shN.mins"), meta.number("shN.maxs")
     palette = min(height * PALETTE_ROW, MAX_PALETTE)
     codebook = (low + np.arange(CODEBOOK) / 255.0 * (high - low)).astype(np.float32)
@@ -123,7 +125,7 @@ def _sh_rest_v1(files: SogFiles, meta: SogMeta, count: int) -> F32:
 
 
 def _centroids(files: SogFiles, meta: SogMeta, coefficients: int, palette: int, codebook: F32) -> F32:
-    """The palette [palette, coefficients, 3]: 64 centroids a row, their coefficients side by side."""
+    """The palette [palette, coefficients, 3]: 64 centroids per row, with their coefficients side by side."""
     rows = -(-palette // PALETTE_ROW)
     image = files.image(meta.file("shN", 0, 2), max_pixels=rows * PALETTE_ROW * coefficients)
     if image.shape[1] != PALETTE_ROW * coefficients or image.shape[0] < rows:

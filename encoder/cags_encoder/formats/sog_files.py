@@ -1,4 +1,4 @@
-"""The files of a SOG data set, from a folder or from a zip, each bounded before it is read or decoded."""
+"""Files of a SOG data set from a folder or zip, each with a size limit that is checked before decoding."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MAX_ENTRIES = 64
 """Files in a zip; a data set has at most eight."""
 
 SLACK_PIXELS = 1 << 16
-"""Image pixels beyond twice the splat count that are tolerated: writers round the sides up."""
+"""Allowed number of image pixels beyond twice the splat count: writers round the sides up."""
 
 ZIP_FAULTS = (
     zipfile.BadZipFile,
@@ -35,7 +35,7 @@ ZIP_FAULTS = (
     struct.error,
     KeyError,
 )
-"""What :mod:`zipfile` raises on damaged archives."""
+"""Exceptions of :mod:`zipfile` for damaged archives."""
 
 _IMAGE_FAULTS = (
     OSError,
@@ -55,7 +55,7 @@ class _Store(Protocol):
 
 
 class FolderStore:
-    """Files side by side in a folder."""
+    """Files in a folder."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -66,7 +66,7 @@ class FolderStore:
 
 
 class ZipStore:
-    """Entries at the root of a zip archive. Raises :class:`SceneError` for what is no zip."""
+    """Entries at the root of a zip archive. Raises :class:`SceneError` if the file is not a zip."""
 
     def __init__(self, file: BinaryIO, source: str) -> None:
         self._source = source
@@ -78,13 +78,13 @@ class ZipStore:
             ) from error
         self._entries = {info.filename: info for info in self._archive.infolist()[: MAX_ENTRIES + 1]}
         if len(self._entries) > MAX_ENTRIES:
-            raise SceneError(f"{source}: holds over {MAX_ENTRIES} files; this is no SOG bundle")
+            raise SceneError(f"{source}: holds over {MAX_ENTRIES} files; this is not a SOG bundle")
 
     def read(self, name: str, max_bytes: int) -> bytes:
-        """The bytes of one entry, inflated no further than ``max_bytes``."""
+        """The bytes of one entry. At most ``max_bytes`` are inflated."""
         info = self._entries.get(name)
         if info is None:
-            raise SceneError(f"{self._source}: lacks {name}; this is no complete SOG bundle")
+            raise SceneError(f"{self._source}: lacks {name}; the SOG bundle is incomplete")
         try:
             with self._archive.open(info) as entry:
                 data = entry.read(max_bytes + 1)
@@ -125,7 +125,7 @@ class SogFiles:
         return width, height
 
     def image(self, name: str, max_pixels: int) -> NDArray[np.uint8]:
-        """An image [H, W, 4] RGBA of at most ``max_pixels`` (plus the writers' rounding)."""
+        """An image [H, W, 4] RGBA of at most ``max_pixels``, plus what writers add by rounding up."""
         return self._open(name, decode=True, max_pixels=max_pixels)[2]
 
     def texels(self, name: str, count: int) -> NDArray[np.uint8]:
@@ -136,7 +136,7 @@ class SogFiles:
         return pixels[:count]
 
     def _open(self, name: str, *, decode: bool, max_pixels: int) -> tuple[int, int, NDArray[np.uint8]]:
-        from PIL import Image  # slow to import, needed by this format only
+        from PIL import Image  # slow import that only this format needs
 
         data = self._store.read(name, MAX_IMAGE_BYTES)
         try:

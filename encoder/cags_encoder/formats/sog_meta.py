@@ -12,15 +12,15 @@ from cags_common.geometry import F32
 
 
 class SogMeta:
-    """A parsed ``meta.json``; fields are named by dotted paths, each access says what is wrong by that name."""
+    """A parsed ``meta.json``. Fields are addressed by dotted paths, which also name them in errors."""
 
     def __init__(self, table: object, source: str) -> None:
         self._table, self._source = table, source
         if not isinstance(table, dict):
-            raise self._error("the whole", "an object")
+            raise self._error("the top level", "an object")
 
     def has(self, path: str) -> bool:
-        """Whether a field is there and not null."""
+        """Whether a field exists and is not null."""
         return self._get(path) is not None
 
     def integer(self, path: str, low: int, high: int) -> int:
@@ -45,7 +45,7 @@ class SogMeta:
         return np.array(value, np.float64).astype(np.float32)
 
     def file(self, attribute: str, index: int, count: int) -> str:
-        """File ``index`` of the ``count`` that hold an attribute: a plain name, never a path."""
+        """Name of file ``index`` of the ``count`` files that hold an attribute: a plain name, never a path."""
         value = self._get(f"{attribute}.files")
         if not isinstance(value, list) or len(value) != count or not all(map(_is_plain_name, value)):
             raise self._error(f"{attribute}.files", f"a list of {count} plain file names")

@@ -1,4 +1,4 @@
-"""Writing SOG version 2: codebooks by equal shares of the values, then images and ``meta.json`` in a zip."""
+"""Writes SOG version 2: codebooks, then images and ``meta.json`` in a zip."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from cags_encoder.formats.files import bytes_of_logits, directed, logit_of_bytes
 from cags_encoder.formats.sog import CODEBOOK, MAX_PALETTE, PALETTE_ROW, QUAT_TAG
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)
-"""Time stamp of all entries: the same splats give the same bytes."""
+"""Time stamp of all entries, fixed so that the same splats give the same bytes."""
 
 
 def sog_bytes(splats: Splats) -> bytes:
     """A bundled SOG file of ``splats`` in Morton order.
 
-    View-dependent colour is limited by its codebook only while the palette of 65,536 entries holds all combinations;
-    beyond that the nearest of an even choice of them stands for each.
+    While the palette of 65,536 entries holds all combinations of harmonics, only the codebook limits view-dependent
+    colour. Beyond that, an evenly chosen subset is kept and each splat takes the nearest entry.
     """
     ordered = splats.take(morton_order(splats.means))
     logs = np.sign(ordered.means) * np.log1p(np.abs(ordered.means.astype(np.float64)))
@@ -54,7 +54,7 @@ def sog_bytes(splats: Splats) -> bytes:
 
 
 def quantised_as_sog(splats: Splats) -> Splats:
-    """``splats`` row by row as they come back from a SOG file whose palette holds all of their harmonics."""
+    """``splats`` in their order after a round trip through a SOG file whose palette holds all of their harmonics."""
     logs, low, step = _logarithms(splats.means)
     words = low + np.round((logs - low) / step) * step
     largest, others = split_largest(splats.quats)
@@ -73,16 +73,16 @@ def quantised_as_sog(splats: Splats) -> Splats:
 
 
 def _logarithms(means: F32) -> tuple[F64, F64, F64]:
-    """Positions as SOG keeps them, logarithmic on both sides of zero; their lowest, and the step of 16 bits."""
+    """Positions as SOG stores them (logarithmic on both sides of zero), their minimum, and the step of 16 bits."""
     logs = np.sign(means) * np.log1p(np.abs(means.astype(np.float64)))
     low, high = logs.min(axis=0), logs.max(axis=0)
     return logs, low, np.where(high > low, high - low, 1.0) / 65535.0
 
 
 def _codebook(values: F32) -> tuple[F32, NDArray[np.uint8]]:
-    """256 ascending values and the index of the nearest for each of ``values``.
+    """256 ascending values, and for each of ``values`` the index of the nearest.
 
-    Two halves: quantiles, where most values are, and equal steps, so that rare large values are met as well.
+    Half of them are quantiles, which follow the density; half are equal steps, which cover rare large values.
     """
     wide = np.sort(values.astype(np.float64).ravel())
     quantiles = np.quantile(wide, (np.arange(CODEBOOK // 2) + 0.5) / (CODEBOOK // 2))
@@ -103,7 +103,7 @@ def _quats(quats: F32) -> NDArray[np.uint8]:
 
 
 def _sh(splats: Splats, images: dict[str, NDArray[np.uint8]]) -> dict[str, Any]:
-    """The palette's images, added to ``images``, and its part of the meta."""
+    """Add the palette's images to ``images`` and return its part of the meta data."""
     from scipy.spatial import cKDTree
 
     book, codes = _codebook(splats.sh_rest.reshape(len(splats), -1))
@@ -125,7 +125,7 @@ def _sh(splats: Splats, images: dict[str, NDArray[np.uint8]]) -> dict[str, Any]:
 
 
 def _image(channels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """[N, C] as a nearly square image [H, W, C], filled up with opaque black."""
+    """[N, C] as a nearly square image [H, W, C], padded with opaque black."""
     count, depth = channels.shape
     width = 4 * -(-int(np.ceil(np.sqrt(count))) // 4)
     height = -(-count // width)
@@ -136,7 +136,7 @@ def _image(channels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _zip(meta: dict[str, Any], images: dict[str, NDArray[np.uint8]]) -> bytes:
-    from PIL import Image  # slow to import, needed by this format only
+    from PIL import Image  # slow import that only this format needs
 
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w") as archive:

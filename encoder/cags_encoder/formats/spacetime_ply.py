@@ -1,10 +1,10 @@
 """PLY of SpaceTime Gaussians (Li et al., CVPR 2024): splats with their own motion, rotation and temporal opacity.
 
-Beside position, scale (logarithm), rotation and opacity (logit) of 3DGS each vertex has ``trbf_center`` and
+Besides the position, scale (logarithm), rotation and opacity (logit) of 3DGS, each vertex has ``trbf_center`` and
 ``trbf_scale`` (logarithm of the width; the clip lasts from 0 to 1), ``motion_0..8`` (x, y, z of the first, second and
 third power of time), ``omega_0..3`` (change of the rotation) and colours ``f_dc_0..2`` that are RGB, not harmonics. The
-method's lite model is read as it is drawn. Its full model adds a network that turns further features into colours
-(``f_dc_3..``, ``f_t_*``), which is not in the file: those are read with their base colours.
+method's lite model is read completely. Its full model also has a network that turns further features (``f_dc_3..``,
+``f_t_*``) into colours; the network is not in the file, so only the base colours are read.
 Layout: ``save_ply`` of https://github.com/oppo-us-research/SpacetimeGaussians
 """
 
@@ -27,14 +27,14 @@ MAX_LOG_WIDTH = 80.0
 
 
 def is_spacetime_ply(header: PlyHeader) -> bool:
-    """Whether a PLY file's vertices have a time of their own."""
+    """Whether the vertices of a PLY file have a centre in time."""
     vertex = header.element("vertex")
     return vertex is not None and any(name == TIMES[0] for name, _ in vertex.properties)
 
 
 @quietly
 def parse_spacetime_ply(data: bytes, source: str, drop: DropBroken | None = None) -> TimedSplats:
-    """The splats of a file's bytes, in units of the clip's length; ``source`` names it. Raises :class:`SceneError`."""
+    """Splats from a file's bytes, times in clip lengths; ``source`` names it in errors. Raises :class:`SceneError`."""
     header = parse_header(data, source)
     vertex = header.element("vertex")
     if vertex is None:

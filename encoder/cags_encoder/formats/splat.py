@@ -1,4 +1,4 @@
-"""The ``.splat`` format of antimatter15's viewer: 32 bytes a splat, SH degree 0, no header.
+"""The ``.splat`` format of antimatter15's viewer: 32 bytes per splat, SH degree 0, no header.
 
 Position 3 float32, linear scale 3 float32, colour and opacity 4 bytes, rotation ``wxyz`` 4 bytes as (b - 128) / 128.
 Described by https://github.com/antimatter15/splat
@@ -18,10 +18,10 @@ RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), (
 
 @quietly
 def parse_splat(data: bytes, source: str, check: Check = Splats.checked) -> Splats:
-    """The splats of a ``.splat`` file's bytes; ``source`` names it in errors. Raises :class:`SceneError`."""
+    """Splats from the bytes of a ``.splat`` file; ``source`` names it in errors. Raises :class:`SceneError`."""
     if len(data) % RECORD.itemsize:
         raise SceneError(
-            f"{source}: is {len(data)} bytes long, not a multiple of 32; it is cut short or no .splat file"
+            f"{source}: is {len(data)} bytes long, not a multiple of 32; it is cut short or not a .splat file"
         )
     check_count(len(data) // RECORD.itemsize, source)
     rows = np.frombuffer(data, RECORD)
@@ -37,7 +37,7 @@ def parse_splat(data: bytes, source: str, check: Check = Splats.checked) -> Spla
 
 
 def splat_bytes(splats: Splats) -> bytes:
-    """A ``.splat`` file of ``splats``, row by row. View-dependent colour is lost; colour and rotation keep 8 bits."""
+    """A ``.splat`` file of ``splats`` in order. View-dependent colour is lost; colours and rotations keep 8 bits."""
     rows = np.zeros(len(splats), RECORD)
     rows["mean"] = splats.means
     rows["scale"] = np.exp(np.minimum(splats.log_scales, np.float32(88.0)))

@@ -1,4 +1,4 @@
-"""The ``.splatv`` container of antimatter15's splaTV: SpaceTime Gaussians as the texture that its viewer uploads.
+"""The ``.splatv`` container of antimatter15's splaTV: SpaceTime Gaussians as the texture uploaded by its viewer.
 
 Two little-endian 32-bit words (0x674b, the length of the JSON that follows), a JSON list of chunks with ``type`` and
 ``size``, then the chunks one after another. The chunk ``splat`` holds 64 bytes a splat:
@@ -8,7 +8,7 @@ Two little-endian 32-bit words (0x674b, the length of the JSON that follows), a 
     20  scale, 3 halves and one unused  52  omega, 4 halves
                                         60  centre and width in time, 2 halves
 
-Records of zeros fill its last row. Layout: ``hybrid.js`` of https://github.com/antimatter15/splaTV
+Records of zeros pad the last row. Layout: ``hybrid.js`` of https://github.com/antimatter15/splaTV
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ RECORD = np.dtype(
 
 @quietly
 def parse_splatv(data: bytes, source: str, drop: DropBroken | None = None) -> TimedSplats:
-    """The splats of a file's bytes, in units of the clip's length; ``source`` names it. Raises :class:`SceneError`."""
+    """Splats from a file's bytes, times in clip lengths; ``source`` names it in errors. Raises :class:`SceneError`."""
     first, size = _splat_chunk(data, source)
     check_count(size // RECORD.itemsize, source)
     rows = np.frombuffer(data, RECORD, size // RECORD.itemsize, first)
@@ -69,32 +69,34 @@ def parse_splatv(data: bytes, source: str, drop: DropBroken | None = None) -> Ti
 
 
 def _splat_chunk(data: bytes, source: str) -> tuple[int, int]:
-    """Where the splats begin, and how many bytes they take."""
+    """Offset and size of the splats, in bytes."""
     if len(data) < HEAD.size or HEAD.unpack_from(data)[0] != MAGIC:
-        raise SceneError(f"{source}: is no .splatv file (it begins with {bytes(data[:4])!r}); check the file's type")
+        raise SceneError(f"{source}: is not a .splatv file (it begins with {bytes(data[:4])!r}); check the file's type")
     length = HEAD.unpack_from(data)[1]
     if length > MAX_JSON_BYTES or HEAD.size + length > len(data):
-        raise SceneError(f"{source}: claims {length} bytes of JSON; it is cut short or no .splatv file")
+        raise SceneError(f"{source}: claims {length} bytes of JSON; it is cut short or not a .splatv file")
     offset = HEAD.size + length
     for kind, size in _chunks(data[HEAD.size : offset], source):
         if offset + size > len(data):
             raise SceneError(f"{source}: is cut short: chunk {kind!r} ends at byte {offset + size} of {len(data)}")
         if kind == "splat":
             if size % RECORD.itemsize:
-                raise SceneError(f"{source}: its splats take {size} bytes, not a multiple of {RECORD.itemsize}")
+                raise SceneError(f"{source}: its chunk of splats has {size} bytes, not a multiple of {RECORD.itemsize}")
             return offset, size
         offset += size
     raise SceneError(f"{source}: has no chunk 'splat'; this .splatv holds no splats")
 
 
 def _chunks(text: bytes, source: str) -> list[tuple[str, int]]:
-    """Type and size of each chunk in order."""
+    """Type and size of each chunk, in order."""
     try:
         found: Any = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise SceneError(f"{source}: its list of chunks is no JSON ({str(error)[:60]}); the file is damaged") from error
+        raise SceneError(
+            f"{source}: its list of chunks is not JSON ({str(error)[:60]}); the file is damaged"
+        ) from error
     if not isinstance(found, list) or len(found) > MAX_CHUNKS:
-        raise SceneError(f"{source}: its JSON is no list of at most {MAX_CHUNKS} chunks; the file is damaged")
+        raise SceneError(f"{source}: its JSON must be a list of at most {MAX_CHUNKS} chunks; the file is damaged")
     chunks = []
     for chunk in found:
         kind, size = (chunk.get("type"), chunk.get("size")) if isinstance(chunk, dict) else (None, None)

@@ -1,7 +1,8 @@
-"""Niantic's ``.spz``: a header and a section of bytes for each attribute, in one gzip stream up to version 3.
+"""Niantic's ``.spz``: a header and one section of bytes per attribute, in one gzip stream up to version 3.
 
-Positions are 24-bit fixed point (float16 in version 1), rotations three bytes (xyz) or, in version 3, the smallest
-three in ten bits each. Frame: right, up, back (y up). Described by https://github.com/nianticlabs/spz
+Positions are 24-bit fixed point (float16 in version 1). Rotations have three bytes (xyz) or, from version 3, the
+smallest three components in ten bits each. Frame: right, up, back (y up).
+Described by https://github.com/nianticlabs/spz
 """
 
 from __future__ import annotations
@@ -30,14 +31,14 @@ from cags_encoder.formats.spz_streams import inflate_streams
 
 HEADER = struct.Struct("<IIIBBBB")
 COLOUR_SCALE = 0.15
-"""Colours beyond 0..1 are kept: a byte spans more than the range of display."""
+"""Colours outside 0..1 are kept: a byte covers more than the displayable range."""
 
 GZIP_WBITS = 31
 
 
 @quietly
 def parse_spz(data: bytes, source: str, check: Check = Splats.checked) -> Splats:
-    """The splats of an ``.spz`` file's bytes; ``source`` names it in errors. Raises :class:`SceneError`."""
+    """Splats from the bytes of an ``.spz`` file; ``source`` names it in errors. Raises :class:`SceneError`."""
     header, part = _inflate(data, source)
     quats = _smallest_three(part["quat"]) if header.version >= 3 else _xyz_quats(part["quat"])
     splats = Splats(
@@ -52,7 +53,7 @@ def parse_spz(data: bytes, source: str, check: Check = Splats.checked) -> Splats
 
 
 def _inflate(data: bytes, source: str) -> tuple[SpzHeader, dict[str, NDArray[np.uint8]]]:
-    """The header and the sections [count, bytes a splat]; never inflates more than the header may claim."""
+    """The header and the sections [count, bytes per splat]. Inflates no more than the size given by the header."""
     if data[:4] == struct.pack("<I", MAGIC):
         return inflate_streams(data, source)
     inflater = zlib.decompressobj(GZIP_WBITS)
@@ -61,11 +62,11 @@ def _inflate(data: bytes, source: str) -> tuple[SpzHeader, dict[str, NDArray[np.
         header = _header(head, source, len(data))
         size = header.count * sum(width for _, width in header.sections)
         body = inflater.decompress(inflater.unconsumed_tail, size)
-        more = inflater.decompress(inflater.unconsumed_tail, 1)  # reaches the stream's own checksum
+        more = inflater.decompress(inflater.unconsumed_tail, 1)  # reaches the checksum of the stream
     except zlib.error as error:
         raise SceneError(f"{source}: is not a gzip stream or is damaged ({error}); check the file's type") from error
     if len(body) < size or not (more or inflater.eof):
-        raise SceneError(f"{source}: is cut short: {header.count} splats take {size} bytes, {len(body)} are there")
+        raise SceneError(f"{source}: is cut short: {header.count} splats take {size} bytes, the file has {len(body)}")
     parts, offset = {}, 0
     for name, width in header.sections:
         parts[name] = np.frombuffer(body, np.uint8, header.count * width, offset).reshape(header.count, width)
@@ -78,9 +79,9 @@ def _header(head: bytes, source: str, held_bytes: int) -> SpzHeader:
         raise SceneError(f"{source}: is cut short in its header")
     magic, version, count, sh_degree, fractional_bits, _flags, _reserved = HEADER.unpack(head)
     if magic != MAGIC:
-        raise SceneError(f"{source}: is gzip, but no SPZ (magic 0x{magic:08x}); check the file's type")
+        raise SceneError(f"{source}: is gzip, but not SPZ (magic 0x{magic:08x}); check the file's type")
     if version not in (1, 2, 3):
-        raise SceneError(f"{source}: is SPZ version {version} in gzip; versions 1 to 3 are read")
+        raise SceneError(f"{source}: is SPZ version {version} in gzip; versions 1 to 3 are supported")
     return checked_header(version, count, sh_degree, fractional_bits, source, held_bytes=held_bytes)
 
 
@@ -103,7 +104,7 @@ def _xyz_quats(raw: NDArray[np.uint8]) -> F32:
 
 
 def _smallest_three(raw: NDArray[np.uint8]) -> F32:
-    """The index of the largest of xyzw in the top bits, then sign and nine bits for each of the others."""
+    """The top bits give the index of the largest of xyzw; each other component has a sign bit and nine bits."""
     words = np.ascontiguousarray(raw).view("<u4")[:, 0]
     fields = np.stack([(words >> np.uint32(shift)) & np.uint32(1023) for shift in (20, 10, 0)], axis=1)
     magnitude = (fields & 511).astype(np.float32) * np.float32(np.sqrt(0.5) / 511.0)
@@ -112,7 +113,7 @@ def _smallest_three(raw: NDArray[np.uint8]) -> F32:
 
 
 def spz_bytes(splats: Splats) -> bytes:
-    """An ``.spz`` file (version 3) of ``splats``, row by row, with as many fractional bits as the positions leave."""
+    """An ``.spz`` file (version 3) of ``splats`` in their order, with the most fractional bits that positions allow."""
     bits = _fractional_bits(splats)
     head = HEADER.pack(MAGIC, 3, len(splats), splats.sh_degree, bits, 0, 0)
     fixed = np.clip(np.round(splats.means.astype(np.float64) * (1 << bits)), -(2**23), 2**23 - 1).astype("<i4")
@@ -124,14 +125,14 @@ def spz_bytes(splats: Splats) -> bytes:
         _pack_smallest_three(splats.quats),
         _rounded(splats.sh_rest * 128.0 + 128.0),
     ]
-    packer = zlib.compressobj(9, zlib.DEFLATED, GZIP_WBITS)  # without a time stamp: the same splats give the same bytes
+    packer = zlib.compressobj(9, zlib.DEFLATED, GZIP_WBITS)  # no time stamp: the same splats give the same bytes
     return packer.compress(head + b"".join(part.tobytes() for part in parts)) + packer.flush()
 
 
 def quantised_as_spz(splats: Splats) -> Splats:
-    """``splats`` row by row as they come back from an ``.spz`` file of Niantic's tools.
+    """``splats`` in their order after a round trip through an ``.spz`` file of Niantic's tools.
 
-    Those keep 5 bits of the harmonics of degree 1 and 4 of the others, where :func:`spz_bytes` keeps 8.
+    These tools keep 5 bits of harmonics of degree 1 and 4 of higher degrees; :func:`spz_bytes` keeps 8.
     """
     scale = float(1 << _fractional_bits(splats))
     fixed = np.clip(np.round(splats.means.astype(np.float64) * scale), -(2**23), 2**23 - 1)
@@ -147,7 +148,7 @@ def quantised_as_spz(splats: Splats) -> Splats:
 
 
 def _fractional_bits(splats: Splats) -> int:
-    """As many as the positions leave of 24."""
+    """Number of fractional bits, of 24, that the largest coordinate leaves."""
     reach = max(float(np.abs(splats.means).max()), 1e-6)
     return int(np.clip(np.floor(np.log2((2**23 - 1) / reach)), 0, 24))
 

@@ -1,4 +1,4 @@
-"""What the header of an ``.spz`` file says, whatever its container."""
+"""The header of an ``.spz`` file, in either container."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MAGIC = 0x5053474E  # "NGSP"
 
 @dataclass(frozen=True, slots=True)
 class SpzHeader:
-    """What the sixteen bytes at the start claim."""
+    """The first sixteen bytes of the file."""
 
     version: int
     count: int
@@ -22,7 +22,7 @@ class SpzHeader:
 
     @property
     def sections(self) -> tuple[tuple[str, int], ...]:
-        """Name and bytes a splat of each section, in file order."""
+        """Name and bytes per splat of each section, in file order."""
         mean_bytes = 6 if self.version == 1 else 9
         quat_bytes = 4 if self.version >= 3 else 3
         sh_bytes = 3 * SH_REST_OF_DEGREE[self.sh_degree]
@@ -30,17 +30,19 @@ class SpzHeader:
 
 
 SMALL_COUNT = 1_000_000
-"""Up to here a file may claim what it likes; beyond it a splat must take up a byte, for real ones take ten or more."""
+"""A file that claims more splats must have at least one byte for each; real files have ten or more."""
 
 
 def checked_header(
     version: int, count: int, sh_degree: int, fractional_bits: int, source: str, *, held_bytes: int
 ) -> SpzHeader:
-    """The header of a file of ``held_bytes``, its claims in bounds. Raises :class:`SceneError` naming ``source``."""
+    """The header of a file of ``held_bytes`` bytes, if its values are in range. Raises :class:`SceneError`."""
     if count > max(SMALL_COUNT, held_bytes):
-        raise SceneError(f"{source}: claims {count} splats in {held_bytes} bytes, which hold far fewer; check the file")
+        raise SceneError(
+            f"{source}: claims {count} splats in {held_bytes} bytes, too few for that many; check the file"
+        )
     if sh_degree > 3:
-        raise SceneError(f"{source}: claims SH degree {sh_degree}; 0 to 3 are read")
+        raise SceneError(f"{source}: claims SH degree {sh_degree}; 0 to 3 are supported")
     if fractional_bits > 24:
-        raise SceneError(f"{source}: claims {fractional_bits} fractional bits; at most 24 are read")
+        raise SceneError(f"{source}: claims {fractional_bits} fractional bits; the maximum is 24")
     return SpzHeader(version, check_count(count, source), sh_degree, fractional_bits)

@@ -1,6 +1,6 @@
-"""The container of ``.spz`` version 4: a header, a table of sizes, and a zstd stream for each section of bytes.
+"""The container of ``.spz`` version 4: a header, a table of sizes, and one zstd stream per section.
 
-What the sections hold is the same as in version 3. Described by https://github.com/nianticlabs/spz
+The sections are those of version 3. Described by https://github.com/nianticlabs/spz
 """
 
 from __future__ import annotations
@@ -15,38 +15,38 @@ from cags_common.errors import SceneError
 from cags_encoder.formats.spz_header import SpzHeader, checked_header
 
 HEADER = struct.Struct("<IIIBBBBI12x")
-"""Magic, version, splats, SH degree, fractional bits, flags, streams, where the table begins; twelve bytes reserved."""
+"""Magic, version, splats, SH degree, fractional bits, flags, streams, offset of the table; twelve reserved bytes."""
 
 ENTRY = struct.Struct("<QQ")
-"""Bytes of a stream, and of what it holds."""
+"""Compressed and uncompressed size of a stream, in bytes."""
 
 MAX_WINDOW_BYTES = 1 << 27
-"""What a zstd stream may make its reader remember: level 22 asks for this much."""
+"""Largest zstd window accepted: that of compression level 22."""
 
 
 def inflate_streams(data: bytes, source: str) -> tuple[SpzHeader, dict[str, NDArray[np.uint8]]]:
-    """The header and the sections [count, bytes a splat] of a version 4 file. Raises :class:`SceneError`."""
+    """The header and the sections [count, bytes per splat] of a version 4 file. Raises :class:`SceneError`."""
     if len(data) < HEADER.size:
         raise SceneError(f"{source}: is cut short in its header")
     _, version, count, degree, bits, _, streams, table = HEADER.unpack_from(data)
     if version != 4:
         raise SceneError(
-            f"{source}: is SPZ version {version} in streams; versions 1 to 4 are read, save it as version 3"
+            f"{source}: is SPZ version {version} in streams; versions 1 to 4 are supported; save it as version 3"
         )
     header = checked_header(version, count, degree, bits, source, held_bytes=len(data))
     sections = [(name, width) for name, width in header.sections if width]
     if streams != len(sections):
-        raise SceneError(f"{source}: has {streams} streams, {len(sections)} hold splats of SH degree {degree}")
+        raise SceneError(f"{source}: has {streams} streams; SH degree {degree} needs {len(sections)}")
     at = table + streams * ENTRY.size
     if table < HEADER.size or at > len(data):
-        raise SceneError(f"{source}: its table of streams lies outside the file, which is cut short or damaged")
+        raise SceneError(f"{source}: its table of streams lies outside the file; the file is cut short or damaged")
     parts = {name: np.zeros((count, width), np.uint8) for name, width in header.sections if not width}
     for row, (name, width) in enumerate(sections):
         packed, size = ENTRY.unpack_from(data, table + row * ENTRY.size)
         if size != count * width:
-            raise SceneError(f"{source}: {name} claims {size} bytes, {count} splats take {count * width}")
+            raise SceneError(f"{source}: {name} claims {size} bytes; {count} splats take {count * width}")
         if packed > len(data) - at:
-            raise SceneError(f"{source}: is cut short: {name} takes {packed} bytes, {len(data) - at} are there")
+            raise SceneError(f"{source}: is cut short: {name} takes {packed} bytes, {len(data) - at} are left")
         raw = _inflate(data[at : at + packed], size, f"{source}: {name}")
         parts[name] = np.frombuffer(raw, np.uint8).reshape(count, width)
         at += packed
@@ -54,7 +54,7 @@ def inflate_streams(data: bytes, source: str) -> tuple[SpzHeader, dict[str, NDAr
 
 
 def _inflate(data: bytes, size: int, what: str) -> bytes:
-    """``size`` bytes. What the stream claims to hold is checked before its reader allocates that much."""
+    """Decompress ``size`` bytes. The size given in the stream is checked before memory is allocated for it."""
     try:
         frame = zstandard.get_frame_parameters(data)
         known = frame.content_size != zstandard.CONTENTSIZE_UNKNOWN

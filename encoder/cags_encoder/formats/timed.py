@@ -1,6 +1,6 @@
-"""Splats that carry their own motion and lifetime, as 4D models keep them: one set for a whole clip.
+"""Splats with their own motion and lifetime, as in 4D models: one set for a whole clip.
 
-A splat's position is a polynomial in the time since its own centre, its rotation changes at a constant rate, and its
+A splat's position is a polynomial in the time since its centre, its rotation changes at a constant rate, and its
 opacity rises and falls as a Gaussian of time (SpaceTime Gaussians, Li et al., CVPR 2024, equations 7 to 9).
 """
 
@@ -19,20 +19,20 @@ from cags_encoder.formats.files import directed, quietly
 from cags_encoder.formats.repair import DropBroken
 
 FAINTEST = 1.0 / 255.0
-"""Drawn opacity below which a splat is absent from a frame: no rasteriser of the field draws it."""
+"""A splat of lower opacity is absent from a frame: common rasterisers do not draw it."""
 
 MAX_LOGIT = 20.0
 
 
 @dataclass(frozen=True, eq=False)
 class TimedSplats:
-    """N splats over time; one unit of time throughout."""
+    """N splats over time. All times have the same unit."""
 
-    splats: Splats  # [N] at their centres, opacity at its peak
-    centres: F64  # [N] when each is most opaque
-    widths: F64  # [N] positive: opacity falls to 1/e of its peak this long before and after the centre
-    motion: F32  # [N, order, 3] coefficients of the powers 1.. of the time since the centre
-    omega: F32  # [N, 4] change of the rotation's wxyz in a unit of time, before it is made unit
+    splats: Splats  # [N] at their centres in time, with their peak opacity
+    centres: F64  # [N] time of peak opacity
+    widths: F64  # [N] positive: time from the centre until opacity has fallen to 1/e of its peak
+    motion: F32  # [N, order, 3] coefficients of powers 1, 2, ... of the time since the centre
+    omega: F32  # [N, 4] change of the rotation's wxyz per unit of time, before normalisation
 
     def __len__(self) -> int:
         return len(self.splats)
@@ -43,16 +43,16 @@ class TimedSplats:
         return TimedSplats(self.splats.take(rows), *parts)
 
     def alive(self, time: float) -> NDArray[np.intp]:
-        """The rows [n] that can be seen at ``time``, ascending."""
+        """Rows [n] of the splats visible at ``time``, ascending."""
         return np.flatnonzero(self._log_opacities(time) >= np.log(FAINTEST))
 
     def brightest(self, time: float) -> NDArray[np.intp]:
-        """The one row [1] that is most opaque at ``time``: what stands in for a moment at which nothing is seen."""
+        """Row [1] of the most opaque splat at ``time``: used if no splat is visible."""
         return np.array([np.argmax(self._log_opacities(time))])
 
     @quietly
     def at(self, time: float, rows: NDArray[np.intp], source: str) -> Splats:
-        """``rows`` as they are at ``time``. Raises :class:`SceneError` naming ``source`` where one cannot be drawn."""
+        """The splats of ``rows`` at ``time``. Raises :class:`SceneError` naming ``source`` if one cannot be drawn."""
         since = time - self.centres[rows]
         means = self.splats.means[rows].astype(np.float64)
         for power in range(self.motion.shape[1]):
@@ -76,9 +76,9 @@ class TimedSplats:
 
 @quietly
 def checked_times(timed: TimedSplats, source: str, drop: DropBroken | None) -> TimedSplats:
-    """``timed`` as read from ``source``, all values finite and widths positive.
+    """Check that all values of ``timed``, read from ``source``, are finite and its widths positive.
 
-    Raises :class:`SceneError` naming the first splat that is not, unless ``drop`` leaves such splats out.
+    Raises :class:`SceneError` naming the first bad splat, unless ``drop`` is given: then bad splats are left out.
     """
     columns: dict[str, NDArray[np.floating[Any]]] = {
         "motion": timed.motion,

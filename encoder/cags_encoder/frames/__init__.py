@@ -1,1 +1,1 @@
-"""From source frames to differential frames: identities, what changed against the decoder's copy, tiles."""
+"""From source frames to differential frames: identities, changes relative to the decoder's copy, tiles."""

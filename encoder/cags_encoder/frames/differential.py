@@ -1,12 +1,11 @@
-"""Differential frames against what the decoder holds.
+"""Differential frames relative to the decoder's copy.
 
-A splat is sent again when drawing the decoder's copy differs visibly more from the truth than a freshly quantised one
-would. Since the comparison is with the decoder's copy and never with the frame before, slow changes add up until they
-are sent: nothing drifts.
+A splat is sent again if the decoder's copy of it is visibly worse than a freshly quantised one. The comparison is with
+the decoder's copy, never with the previous frame, so slow changes add up until they are sent, and nothing drifts.
 
-Only two small steps depend on earlier frames: which ids a frame's splats get (:mod:`cags_encoder.tracks.placing`), and
-which of the changed ones are worth sending (:class:`DecoderCopy`). What costs time lies between and after them and
-depends on one frame alone, so that frames are quantised and packed in parallel (:mod:`cags_encoder.frames.tasks`).
+Only two small steps depend on earlier frames: the assignment of ids (:mod:`cags_encoder.tracks.placing`), and the
+choice of the changes that are worth sending (:class:`DecoderCopy`). The expensive steps, quantisation and packing,
+depend on one frame alone and run in parallel (:mod:`cags_encoder.frames.tasks`).
 """
 
 from __future__ import annotations
@@ -28,26 +27,26 @@ from cags_encoder.tracks.rows import SplatTable
 
 @dataclass(frozen=True, eq=False)
 class QuantisedDelta:
-    """A frame's changed splats [n], quantised afresh."""
+    """A frame's changed splats [n], freshly quantised."""
 
     prepared: Splats
-    """The truth, in the form that the codec gives back."""
+    """The true splats in the codec's form (see ``prepare``)."""
     coded: CodedSplats
     effect: F64 | None
-    """Visible effect [n] that quantisation alone has; None in key frames, which send everything."""
+    """Visible effect [n] of quantisation alone; None in key frames, which send everything."""
     source: bytes
-    """The unquantised changes, packed."""
+    """The packed unquantised changes."""
 
 
 class DecoderCopy:
-    """What a decoder with every LoD holds in one group of frames."""
+    """The splats that a decoder with every LoD holds, in one group of frames."""
 
     def __init__(self, codec: ClipCodec, change_threshold: float) -> None:
         self._codec, self._threshold = codec, change_threshold
         self._table: SplatTable | None = None
 
     def send(self, delta: SourceDelta, quantised: QuantisedDelta) -> tuple[CutTile, ...]:
-        """Choose and cut what the next frame sends, and take it over."""
+        """Choose and cut the tiles of the next frame, and update the copy."""
         if quantised.effect is None:
             tiles = self._cut(delta.ids, quantised, largest=KEY_TILE_SPLATS, id_range=True)
         else:
@@ -66,7 +65,7 @@ class DecoderCopy:
         self._table.put(ids, shown)
 
     def _worth_sending(self, ids: Ids, true: Splats, effect: F64) -> NDArray[np.bool_]:
-        """Whether each splat is new, or its fresh copy visibly nearer to the truth than what the decoder holds."""
+        """Which splats are new, or would be visibly closer to the truth if sent again."""
         assert self._table is not None
         known = self._table.holds(ids)
         worth = ~known

@@ -1,8 +1,8 @@
-"""Frames of splats that keep their looks: what comes new, which attributes change, and how everything moves.
+"""Frames of splats that keep their looks: new splats, changed attributes, and motion.
 
-A splat's looks are sent when it comes. Later frames send attributes by themselves where drawing the decoder's copy
-differs visibly from the truth, and chunks of motion: a tile's chunk says for some frames where its splats are, how they
-turn and fade, and when they end, always against the decoder's copy of the looks, so that nothing drifts.
+The looks of a splat are sent when it appears. Later frames send single attributes if the decoder's copy is visibly
+wrong, and chunks of motion. A chunk covers one tile of looks for some frames: positions, rotations, fades and ends of
+life, all relative to the decoder's copy of the looks, so nothing drifts.
 """
 
 from __future__ import annotations
@@ -34,29 +34,27 @@ from cags_encoder.tracks.placing import Placed, Told
 from cags_encoder.tracks.rows import SplatTable
 
 PHASES = 4
-"""The first chunks of a key frame's tiles are of so many lengths, so that later ones do not all begin at one frame."""
+"""Number of different lengths of a key frame's first chunks, so that later chunks begin at different frames."""
 
 
 SHARE = 0.25
-"""Part of the change threshold by which a single attribute may be wrong: it stays so for long, and others are, too."""
+"""Share of the change threshold allowed for one attribute: its error lasts, and other attributes have errors too."""
 
 COLUMNS = {"scale": "log_scales", "sh0": "sh0", "sh_rest": "sh_rest"}
-"""Attributes that change by themselves, and their columns of splats."""
+"""Attributes that can be sent alone, and their columns of :class:`Splats`."""
 
 MOST_CHANGE = 0.5
-"""Share of the splats from which on those that change are cut into tiles by their ids, which then take no bytes: a key
-frame's rise along the curve that tiles follow.
+"""If more than this share of the splats changes, updates are cut into tiles by id, which then takes no bytes: the ids
+of a key frame ascend along the curve that tiles follow.
 """
 
 STILL = 2.0
-"""Splats that stay within so many times the tolerance of where they are held need no chunk; nor within a finest unit at
-most.
-"""
+"""Splats need no chunk if they stay within this many tolerances of the position held, and within one finest unit."""
 
 
 @dataclass(frozen=True, eq=False)
 class UpdateCut:
-    """One tile of changed attributes, still to be packed."""
+    """One tile of changed attributes, before packing."""
 
     ids: Ids  # [n] ascending
     changed: Mapping[str, NDArray[np.bool_]]  # attribute -> [n]
@@ -66,12 +64,12 @@ class UpdateCut:
 
 @dataclass(eq=False)
 class _Track:
-    """A tile of looks, for as long as anything of it is there."""
+    """A tile of looks that still has live splats."""
 
     key: tuple[int, int]
     ids: Ids  # [n]
-    anchors: F32  # [n, 3] decoded
-    quats: F32  # [n, 4] the source's, when the looks came
+    anchors: F32  # [n, 3] decoded positions
+    quats: F32  # [n, 4] of the source, when the looks were sent
     steps: Steps
     round: NDArray[np.bool_]
     next: int
@@ -80,11 +78,11 @@ class _Track:
     end: Window | None = None
     """How the last chunk leaves the splats (one frame); None before any chunk."""
     fades: bool = False
-    """Whether the last chunk fades some of them: held at its end, they would stay faded."""
+    """Whether the last chunk contains fades. If held at its end, its splats would stay faded."""
 
 
 class MovingGroups:
-    """Chooses what each frame sends, group after group."""
+    """Chooses the content of each frame, group after group."""
 
     def __init__(
         self, codec: SvqCodec, steps: MotionSteps, trails: Trails, settings: EncodeSettings, tolerances: Tolerances
@@ -93,16 +91,16 @@ class MovingGroups:
         self._span, self._threshold = settings.motion_span, settings.change_threshold
         self._steps = Steps(np.array(steps.moves, np.float32), np.array(steps.turns, np.float32))
         self._books: CodebookSet = codec.quantiser.books
-        self._tolerated = tolerances  # of this group
+        self._tolerated = tolerances  # of the current group
         self._tracks: list[_Track] = []
         self._held: SplatTable | None = None
         self._axes = np.zeros((0, 3), np.int64)  # [capacity] order of a splat's axes in its looks
-        self._fading = np.zeros(0, bool)  # [capacity] told by a fade now
-        self._faded: list[Ids] = []  # whose fades have ended at this frame
-        self._owner = np.zeros((0, 2), np.int64)  # [capacity] key of the looks that a splat has
+        self._fading = np.zeros(0, bool)  # [capacity] whether a fade describes the opacity now
+        self._faded: list[Ids] = []  # ids whose fades ended at this frame
+        self._owner = np.zeros((0, 2), np.int64)  # [capacity] key of the tile that holds a splat's looks
 
     def send(self, frame: Placed, quantised: QuantisedDelta) -> tuple[CutTile | UpdateCut | TrackSpan, ...]:
-        """What ``frame`` sends; ``quantised`` [k] are those of its changes that look different."""
+        """Content of ``frame``; ``quantised`` [k] are its changes that are more than motion."""
         if frame.key:
             self._tracks, self._held = [], None
             self._tolerated = self._tolerances
@@ -143,7 +141,7 @@ class MovingGroups:
     def _looks(
         self, frame: Placed, ids: Ids, quantised: QuantisedDelta, rows: NDArray[np.intp], told: Splats
     ) -> list[CutTile]:
-        """Tiles of splats ``told`` [n] that come, or come anew."""
+        """Tiles of splats that are new or sent whole again; ``told`` [n] are the splats to code."""
         if not len(ids):
             return []
         coded = _svq(quantised).take(rows)
@@ -180,9 +178,9 @@ class MovingGroups:
     def _changed(
         self, ids: Ids, births: NDArray[np.bool_], source: Splats, told: Told, coded: tuple[Splats, Splats]
     ) -> dict[str, NDArray[np.bool_]]:
-        """Attribute -> which splats [k] must be told of anew; ``whole``: those whose looks as a whole must be.
+        """Attribute -> which splats [k] need it sent again; ``whole``: which need all of their looks sent again.
 
-        What would be ``told`` is ``coded``: as it was prepared, and as it is decoded.
+        ``told`` are the values to send, ``coded`` the same as prepared and as decoded.
         """
         prepared, fresh = coded
         names = tuple(COLUMNS)
@@ -195,7 +193,7 @@ class MovingGroups:
         weight = np.maximum(drawn(held.logit_opacities), drawn(true.logit_opacities))
         wrong = _effects(held, true, scales, weight)
         noise = _effects(fresh.take(old), now, now.log_scales, weight)
-        # Codes tell the largest axis first. Where other axes were the largest when the looks came, an update is wrong.
+        # Codes list the largest axis first. If their order changed after the looks were sent, updates are wrong.
         swapped = weight * EFFECTS["log_scales"](np.abs(fresh.log_scales[old] - asked))
         other_axes = swapped > noise["scale"] + told.wrong["log_scales"][old]
         noise["scale"] = np.where(other_axes, noise["scale"], swapped)
@@ -205,7 +203,7 @@ class MovingGroups:
         return out
 
     def _brighter(self, ids: Ids, true: Splats, fresh: Splats) -> NDArray[np.bool_]:
-        """Which splats [k] are drawn with another opacity than is held, and told by no fade."""
+        """Which splats [k] have a visibly wrong opacity that no fade describes."""
         if self._held is None or not len(ids):
             return np.zeros(len(ids), bool)
         alpha = drawn(true.logit_opacities)
@@ -231,8 +229,8 @@ class MovingGroups:
         return tiles
 
     def _after_fades(self, frame: int, judged: Ids) -> list[UpdateCut]:
-        """Opacities of splats whose fade is over, though nothing of them changed in ``frame`` (else they are among the
-        ``judged``): what is held is the largest that they had.
+        """Opacities of splats whose fade has ended and that are not among the ``judged`` ones: the decoder holds their
+        largest opacity.
         """
         ids = np.setdiff1d(np.concatenate([np.zeros(0, np.int32), *self._faded]), judged).astype(np.int32)
         if not len(ids) or self._held is None:
@@ -272,7 +270,7 @@ class MovingGroups:
     # -------------------------------------------------------------------------------------------------------- motion
 
     def _chunks(self, frame: int) -> list[TrackSpan]:
-        """Chunks that begin at ``frame``."""
+        """The chunks that begin at ``frame``."""
         spans: list[TrackSpan] = []
         for track in self._tracks:
             if track.next == frame:
@@ -314,7 +312,7 @@ class MovingGroups:
         return moving / max(splats, 1)
 
     def _is_still(self, track: _Track, window: Window) -> bool:
-        """Whether a client that has no chunk of these frames shows them well enough."""
+        """Whether the tile looks right without a chunk for these frames."""
         if track.end is not None:
             if not np.array_equal(track.end.present[0], window.present[0]):
                 return False
@@ -331,14 +329,14 @@ class MovingGroups:
         return not (turned > turned_ * np.where(track.round, np.inf, track.steps.turns)[alive]).any()
 
     def _lives(self, window: Window) -> NDArray[np.uint8] | None:
-        """Frames for which each splat [n] is there; one more than there are where it lives on."""
+        """Number of frames for which each splat [n] exists; the chunk's length plus one if it lives on."""
         if window.present.all():
             return None
         lives: NDArray[np.uint8] = window.present.sum(axis=0).astype(np.uint8)
         return lives
 
     def _fades(self, track: _Track, window: Window, held: F64) -> NDArray[np.int64] | None:
-        """Fades of the splats [n] against the opacities ``held`` [n]; None where nothing fades."""
+        """Fades of the splats [n] relative to the opacities ``held`` [n]; None if no splat fades."""
         opacities = window.opacities.astype(np.float64)
         middles = (window.present.sum(axis=0) - 1) / 2
         fades, fits = fit_fades(opacities, window.present, held, middles)
@@ -355,9 +353,9 @@ def _svq(quantised: QuantisedDelta) -> SvqSplats:
 
 
 def _effects(shown: Splats, true: Splats, scales: F32, weight: F64) -> dict[str, F64]:
-    """Visible effect [n] (0..1 of a pixel's colour) of each attribute of ``shown`` instead of the ``true`` one.
+    """Visible effect [n] (0..1 of a pixel's colour) of the errors in each attribute of ``shown``.
 
-    ``scales`` are the true log scales in the order of the axes that are shown; ``weight`` [n] are drawn opacities.
+    ``scales`` are the true log scales in the shown order of axes; ``weight`` [n] are drawn opacities.
     """
     pairs = {
         "scale": (shown.log_scales, scales),

@@ -1,4 +1,4 @@
-"""The work on one frame that depends on no other frame's result: it runs wherever an executor puts it."""
+"""The parts of a frame's encoding that depend on no other frame, so that any worker can run them."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from cags_encoder.tracks.looking import Look
 from cags_encoder.tracks.placing import Placed
 
 AnyCut: TypeAlias = CutTile | UpdateCut | TrackSpan
-"""What a frame sends, still to be packed."""
+"""Content of a frame, before packing."""
 
 
 def look(source: Shared[FrameSource], index: int) -> Look:
-    """Read frame ``index``."""
+    """Read frame ``index`` and its identities."""
     frames = source.get()
     return Look(frames.frame(index), frames.ids(index))
 
 
 def read(source: Shared[FrameSource], index: int) -> Splats:
-    """Frame ``index``."""
+    """Read frame ``index``."""
     return source.get().frame(index)
 
 
 def quantise(codec: Shared[ClipCodec], delta: SourceDelta, key: bool) -> QuantisedDelta:
-    """Quantise all that a frame changes."""
+    """Quantise all changes of a frame."""
     machine = codec.get()
     prepared = machine.prepare(delta.splats)
     coded = machine.quantise(prepared)
@@ -46,7 +46,7 @@ def quantise(codec: Shared[ClipCodec], delta: SourceDelta, key: bool) -> Quantis
 
 
 def quantise_looks(codec: Shared[ClipCodec], frame: Placed) -> QuantisedDelta:
-    """Quantise what is to be coded of those of a frame's changes that are more than motion."""
+    """Quantise the changes of a frame that are more than motion."""
     machine, told = codec.get(), frame.told
     prepared = machine.prepare(frame.delta.splats.take(frame.looks) if told is None else told.splats)
     return QuantisedDelta(prepared, machine.quantise(prepared), None, encode_source(frame.delta))

@@ -1,4 +1,4 @@
-"""Chunks of motion: from where the splats of a tile truly are over a span of frames to payloads."""
+"""Encodes chunks of motion: from the true motion of a tile's splats over a span of frames to payloads."""
 
 from __future__ import annotations
 
@@ -22,77 +22,77 @@ from cags_encoder.motion.turns import CONJUGATE, relative_turns
 from cags_encoder.tiling import corners
 
 BLOCKS = (128, 32)
-"""Splats that move as one rigid body before their own residuals."""
+"""Sizes of blocks of splats that share a rigid motion, to which their residuals are relative."""
 
 STRAIGHT = 1.0
-"""A trajectory within so many finest units of a line is told as the line."""
+"""A trajectory within this many finest units of a line is coded as the line."""
 
 ROUGH = 0.75
 """Ends of lines are rounded to a coarser level's unit where no sample is then off by more finest units than this."""
 
 MOST_MOVED, MOST_TURNED = 1.0, 3.0
-"""Smoothing changes no sample of positions and rotations by more finest units than this, so that nobody sees it."""
+"""Largest change of any sample of positions and rotations by smoothing, in finest units, so that it is invisible."""
 
 ROUND = 1.05
-"""Ratio of a splat's longest to its shortest axis below which nobody sees it turn."""
+"""Ratio of a splat's longest to its shortest axis below which its rotation is invisible."""
 
 JUDGED = 512
-"""Splats by which it is judged how exactly a chunk has to be told."""
+"""Number of splats from which a chunk's accuracy is determined."""
 
 LEAST_UNITS = 0.5
-"""Residuals below this round to nothing."""
+"""Smaller residuals round to zero."""
 
 MOST_UNITS = float(1 << 21)
-"""Bound on residuals, in finest units: larger motion is another splat's."""
+"""Largest residual, in finest units; with larger motion a splat counts as another one."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrackSpan:
-    """What the splats [n] of one tile of looks do over ``span`` + 1 frames. Rows that are not present hold anything."""
+    """Motion of the splats [n] of one tile of looks over ``span`` + 1 frames; rows not present are undefined."""
 
     looks: tuple[int, int]
     means: F32  # [span + 1, n, 3] world, metres
     quats: F32  # [span + 1, n, 4]
     present: NDArray[np.bool_]  # [span + 1, n]
-    anchors: F32  # [n, 3] the looks' positions, as decoded
-    first: F32  # [n, 4] the rotations that the looks came with
+    anchors: F32  # [n, 3] the looks' decoded positions
+    first: F32  # [n, 4] rotations when the looks were sent
     steps: Steps
-    round: NDArray[np.bool_]  # [n] whose turns nobody sees
+    round: NDArray[np.bool_]  # [n] whose rotations are invisible
     starts: bool
-    """Whether the span begins after the looks do."""
+    """Whether the span begins after the looks."""
     lives: NDArray[np.uint8] | None  # [n]
     fades: NDArray[np.int64] | None  # [n, 2]
     tolerances: Tolerances = field(default_factory=Tolerances)
 
     @property
     def span(self) -> int:
-        """Frames after the first."""
+        """Number of frames after the first."""
         return len(self.means) - 1
 
 
 @dataclass(frozen=True)
 class Exactness:
-    """How exactly a chunk tells positions, or rotations."""
+    """Accuracy of a chunk's positions, or rotations."""
 
     finer: int = 0
     """How often the tile's units are halved."""
     told: int = LEVELS
-    """Levels that tell anything."""
+    """Number of levels that are not empty."""
 
     @property
     def step(self) -> int:
-        """Finest units of the chunk in a unit of the last level that is told."""
+        """Finest units of the chunk per unit of the last level that is not empty."""
         return int(REFINEMENT ** (LEVELS - self.told))
 
     def scaled(self, values: F64) -> F64:
-        """``values``, in the tile's units, in those of the last level that is told."""
+        """``values``, given in the tile's units, in units of the last level that is not empty."""
         most = MOST_UNITS / self.step
         out: F64 = np.clip(values * (2.0**self.finer / self.step), -most, most)
         return out
 
 
 def exactness(values: F64, present: NDArray[np.bool_], tolerance: Tolerance, *, starts: bool, turn: bool) -> Exactness:
-    """How exactly ``values`` [frames, n, c], in the tile's units, are to be told for their errors to be tolerable."""
+    """The accuracy for ``values`` [frames, n, c], in the tile's units, whose errors are within ``tolerance``."""
     rows = np.flatnonzero(present.any(axis=0))
     rows = rows[:: max(1, len(rows) // JUDGED)]
     values, present = values[:, rows], present[:, rows]
@@ -116,9 +116,9 @@ def exactness(values: F64, present: NDArray[np.bool_], tolerance: Tolerance, *, 
 
 
 def curved(values: F64 | None, exact: Exactness, *, starts: bool, turn: bool) -> bool:
-    """Whether ``values`` [frames, n, c], finest units, take fewer bytes with middles against curves than lines.
+    """Whether coding middles against curves takes fewer bytes than against lines for ``values`` [frames, n, c].
 
-    Noise is the more of both: curves go through more samples. Judged at some splats, by one level.
+    Curves pass through more samples and so amplify noise. Determined from some splats, with a single level.
     """
     if values is None or len(values) < 4 or not exact.told:
         return False
@@ -135,7 +135,7 @@ def curved(values: F64 | None, exact: Exactness, *, starts: bool, turn: bool) ->
 
 
 def encode_span(span: TrackSpan) -> TilePayloads:
-    """The payloads of a span's chunk."""
+    """Payloads of a span's chunk."""
     moves, anchors = _filled(span), span.anchors.astype(np.float64)
     unit = span.steps.moves.astype(np.float64)[None, :, None]
     turns = _turns(span)
@@ -180,7 +180,7 @@ def encode_span(span: TrackSpan) -> TilePayloads:
 
 
 def _turns(span: TrackSpan) -> F64 | None:
-    """Turns [span + 1, n, 4] from the rotations of the looks; None where nothing turns."""
+    """Rotations [span + 1, n, 4] relative to those of the looks; None if nothing rotates."""
     differs = np.zeros(span.present.shape, bool)
     for part in range(4):
         differs |= span.quats[:, :, part] != span.first[:, part]
@@ -191,7 +191,7 @@ def _turns(span: TrackSpan) -> F64 | None:
 
 
 def _filled(span: TrackSpan) -> F64:
-    """Positions [span + 1, n, 3] that go on along a line where a splat is not there."""
+    """Positions [span + 1, n, 3]; splats that are not present continue along a line."""
     means = np.where(span.present[:, :, None], span.means, span.anchors[None]).astype(np.float64)
     if span.present.all():
         return means
@@ -202,7 +202,7 @@ def _filled(span: TrackSpan) -> F64:
 
 
 def _line(values: F64, present: NDArray[np.bool_]) -> F64:
-    """The line [frames, n, c] through ``values`` [frames, n, c] where ``present``, by least squares."""
+    """The least-squares line [frames, n, c] through ``values`` [frames, n, c] where ``present``."""
     times = np.arange(len(values), dtype=np.float64)[:, None]
     weights = present.astype(np.float64)
     total = np.maximum(weights.sum(axis=0), 1.0)
@@ -240,7 +240,7 @@ def _straight(values: F64, present: NDArray[np.bool_], levels: int, *, starts: b
 
 
 def _line_from_nothing(values: F64, present: NDArray[np.bool_]) -> F64:
-    """The line [frames, n, c] from zero through ``values`` [frames, n, c] where ``present``, by least squares."""
+    """The least-squares line [frames, n, c] from zero through ``values`` [frames, n, c] where ``present``."""
     times = np.arange(len(values), dtype=np.float64)[:, None]
     weights = np.where(present, times, 0.0)
     slope = (weights[:, :, None] * values).sum(axis=0) / np.maximum((weights * times).sum(axis=0), 1e-12)[:, None]
@@ -249,7 +249,7 @@ def _line_from_nothing(values: F64, present: NDArray[np.bool_]) -> F64:
 
 
 def _turn_residuals(span: TrackSpan, turns: F64) -> tuple[F64 | None, Exactness]:
-    """Turns [span + 1, n, 4] against the identity in the chunk's finest units, or None where nobody would see them."""
+    """Rotations [span + 1, n, 4] minus the identity in the chunk's finest units, or None if they are invisible."""
     units = (turns - np.eye(4)[0]) / span.steps.turns.astype(np.float64)[None, :, None]
     units[:, span.round] = 0.0
     if not span.present.all():
@@ -262,7 +262,7 @@ def _turn_residuals(span: TrackSpan, turns: F64) -> tuple[F64 | None, Exactness]
 
 
 def _beside(turns: F64, blocks: F64) -> F64:
-    """What is left of ``turns`` [frames, n, 4] after those of the blocks, its first sample with w >= 0."""
+    """The rest of ``turns`` [frames, n, 4] after the blocks' rotations, with w >= 0 in the first sample."""
     flat = (-1, 4)
     left = product(turns.reshape(flat), (blocks * CONJUGATE).reshape(flat)).reshape(turns.shape)
     for at in range(1, len(left)):
@@ -272,7 +272,7 @@ def _beside(turns: F64, blocks: F64) -> F64:
 
 
 def _worthwhile(span: TrackSpan, anchors: F64, moves: F64) -> Blocks | None:
-    """Rigid blocks of the size that saves most, where they save more than they cost (judged at some samples)."""
+    """Rigid blocks of the size that saves most, if they save more than they cost (estimated from some samples)."""
     unit = float(np.float32(max(float(np.percentile(span.steps.moves, 10)), 1e-30)))
     some = moves[[span.span // 2, span.span]]
     weights = np.asarray(span.present.any(axis=0), np.float64) + 1e-9

@@ -1,4 +1,4 @@
-"""Fades: opacities that follow a Gaussian of the time, as 4D models have them."""
+"""Fades: opacity as a Gaussian over time, as in 4D models."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ _LEAST = 1e-4
 
 
 def peaks(opacities: F64, present: NDArray[np.bool_]) -> F64:
-    """The largest opacity [n] of each life of ``opacities`` [frames, n]: the vertex of the parabola through the
-    logarithms around the largest sample, where there are neighbours.
+    """Largest opacity [n] of each life in ``opacities`` [frames, n].
+
+    If the largest sample has neighbours, it is the vertex of the parabola through their logarithms.
     """
     logs = np.log(np.maximum(np.where(present, opacities, 0.0), _LEAST))
     top, rows = logs.argmax(axis=0), np.arange(logs.shape[1])
@@ -65,13 +66,13 @@ def fit_fades(
 
 
 def _vertex(opacities: F64, present: NDArray[np.bool_]) -> F64:
-    """The frame [n] that the centre of each fade is before, or at: half a frame off the largest sample, towards its
-    larger neighbour. A largest sample at an end of what is there has its centre beyond it.
+    """Time [n] at which the root of each exponent changes sign: half a frame from the largest sample, towards its
+    larger neighbour. If the largest sample is at an end of the life, the centre lies beyond that end.
     """
     shown = np.where(present, opacities, -1.0)
     top, rows = shown.argmax(axis=0), np.arange(shown.shape[1])
-    beside = np.concatenate([shown[:1] * 0 - 1.0, shown, shown[:1] * 0 - 1.0])
-    left, right = beside[top, rows], beside[top + 2, rows]
+    padded = np.concatenate([shown[:1] * 0 - 1.0, shown, shown[:1] * 0 - 1.0])
+    left, right = padded[top, rows], padded[top + 2, rows]
     towards_right = np.where((left < 0) | (right < 0), right < 0, right > left)
     alone = (left < 0) & (right < 0)
     vertex: F64 = top + np.where(alone, 0.0, np.where(towards_right, 0.5, -0.5))
@@ -79,7 +80,7 @@ def _vertex(opacities: F64, present: NDArray[np.bool_]) -> F64:
 
 
 def _lines(opacities: F64, present: NDArray[np.bool_], peak: F64, times: F64) -> tuple[F64, F64]:
-    """Widths and centres [n]: the root of a Gaussian's exponent is a line in time, falling before its centre."""
+    """Widths and centres [n] by linear regression: the signed root of a Gaussian's exponent is linear in time."""
     share = np.clip(np.where(present, opacities, 1.0) / np.maximum(peak, _LEAST), 1e-6, 1.0)
     root = np.sqrt(-2.0 * np.log(share)) * np.where(times < _vertex(opacities, present), -1.0, 1.0)
     weights = np.where(present, np.square(opacities) + 1e-6, 0.0)

@@ -1,4 +1,4 @@
-"""The rigid motion that carries runs of splats best: Horn's closed form (1987), all runs and frames at once."""
+"""Best rigid motion of runs of splats by Horn's closed form (1987), for all runs and frames at once."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from cags_common.motion.apply import rotate
 from cags_common.motion.chunk import TURN_UNIT, Blocks
 
 MOST_GIBBS = 1e4
-"""Tangent of half the angle at 179.99 degrees: a Gibbs vector has no half turn."""
+"""Tangent of half the angle at 179.99 degrees: Gibbs vectors cannot express half turns."""
 
 
 def rigid_blocks(anchors: F64, tracks: F64, weights: F64, size: int, unit: float) -> Blocks:
-    """How each run of ``size`` of ``anchors`` [n, 3] moves to ``tracks`` [frames, n, 3], weighted by ``weights`` [n].
+    """Rigid motion of each run of ``size`` ``anchors`` [n, 3] to ``tracks`` [frames, n, 3] with ``weights`` [n].
 
-    ``unit`` is that of shifts, metres. What the runs do not explain is left to the splats' own residuals.
+    ``unit`` is the unit of shifts in metres. The rest of the motion is left to the residuals of single splats.
     """
     runs = np.arange(len(anchors)) // size
     count = -(-len(anchors) // size)
@@ -43,7 +43,7 @@ def block_quaternions(turns: NDArray[np.int32]) -> F64:
 
 
 def carried(blocks: Blocks, anchors: F64) -> tuple[F64, F64]:
-    """Positions [frames, n, 3] of ``anchors`` [n, 3] as the blocks carry them, and the blocks' turns [frames, n, 4]."""
+    """Positions [frames, n, 3] of ``anchors`` [n, 3] moved by their blocks, and the rotations [frames, n, 4]."""
     runs = np.arange(len(anchors)) // blocks.size
     turns = np.stack([block_quaternions(turn) for turn in blocks.turns])[:, runs]
     points = np.stack([rotate(turn, anchors) for turn in turns])
@@ -55,7 +55,7 @@ def _sums(values: F64, runs: NDArray[np.intp], count: int) -> F64:
 
 
 def _gibbs(outer: F64) -> F64:
-    """Gibbs vectors [runs, 3] of the rotations that fit sums of outer products [runs, 3, 3] best."""
+    """Gibbs vectors [runs, 3] of the rotations that best fit sums of outer products [runs, 3, 3]."""
     s = outer
     form = np.zeros((len(s), 4, 4))
     trace = s[:, 0, 0] + s[:, 1, 1] + s[:, 2, 2]

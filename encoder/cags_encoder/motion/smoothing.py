@@ -1,4 +1,4 @@
-"""Noise of the source, which motion must not tell: coarse codes of rotations shake what turns evenly."""
+"""Removes noise of the source from motion: coarsely quantised rotations jitter although the splat turns evenly."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ import numpy as np
 from cags_common.geometry import F64
 
 LEAST_FRAMES = 5
-"""Fewer samples do not tell noise from motion."""
+"""With fewer samples, noise and motion cannot be separated."""
 
 LEAST_NOISE = 0.03
-"""Noise below so many finest units costs next to nothing."""
+"""Less noise, in finest units, costs almost nothing."""
 
 SHARE = 1.5
-"""Smoothing takes away at most so many times the noise, in the root mean square."""
+"""Largest root mean square change by smoothing, as a multiple of the noise."""
 
 STRENGTHS = (1.0, 10.0, 100.0, 1e3, 1e4)
 HELD = 1e6
-"""Weight of a first sample that stays."""
+"""Weight of a first sample that must not change."""
 
 _FOURTH = 70.0
-"""Sum of the squares of (1, -4, 6, -4, 1): how much of white noise is in fourth differences."""
+"""Sum of the squares of (1, -4, 6, -4, 1): the gain of fourth differences for the variance of white noise."""
 
 
 def smoothed(values: F64, most: float, *, starts: bool) -> F64:
-    """``values`` [frames, n, c] in finest units without the noise that their fourth differences tell.
+    """``values`` [frames, n, c], in finest units, without the noise that their fourth differences show.
 
-    Each splat is as smooth as its noise, and ``most`` units of change, allow: Whittaker's smoothing (1923) by second
-    differences, its strength by the discrepancy.
+    Whittaker smoothing (1923) by second differences. Each splat gets the largest strength whose change stays below
+    :data:`SHARE` times its noise (discrepancy principle) and below ``most`` units.
 
-    Without ``starts`` the first sample is nothing, and nothing it stays.
+    Unless ``starts``, the first sample is zero and stays zero.
     """
     if len(values) < LEAST_FRAMES:
         return values
@@ -41,9 +41,9 @@ def smoothed(values: F64, most: float, *, starts: bool) -> F64:
     chosen = noisy.copy()
     for strength in STRENGTHS:
         tried = np.einsum("ft,tnc->fnc", _smoother(len(values), strength, starts), noisy)
-        off = tried - noisy
-        fine = np.sqrt(np.square(off).mean(axis=(0, 2))) <= limit
-        fine &= np.abs(off).max(axis=(0, 2), initial=0.0) <= most
+        change = tried - noisy
+        fine = np.sqrt(np.square(change).mean(axis=(0, 2))) <= limit
+        fine &= np.abs(change).max(axis=(0, 2), initial=0.0) <= most
         chosen = np.where(fine[:, None], tried, chosen)
     out = values.copy()
     out[:, rows] = chosen
@@ -52,8 +52,8 @@ def smoothed(values: F64, most: float, *, starts: bool) -> F64:
 
 @cache
 def _smoother(frames: int, strength: float, starts: bool) -> F64:
-    """[frames, frames] samples to smooth ones."""
-    bends = np.diff(np.eye(frames), 2, axis=0)
+    """Matrix [frames, frames] from samples to smoothed samples."""
+    differences = np.diff(np.eye(frames), 2, axis=0)
     weights = np.diag(np.where(np.arange(frames) == 0, 1.0 if starts else HELD, 1.0))
-    matrix: F64 = np.linalg.solve(weights + strength * bends.T @ bends, weights)
+    matrix: F64 = np.linalg.solve(weights + strength * differences.T @ differences, weights)
     return matrix

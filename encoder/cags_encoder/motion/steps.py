@@ -1,4 +1,4 @@
-"""How exactly motion is told: against a splat's own size, which a client knows from the base code of its scale."""
+"""Units of motion, relative to a splat's size, which a client knows from the base code of its scale."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ MOVE_STEP = 0.0625
 """Finest unit of positions, in standard deviations along a splat's middle axis."""
 
 TURN_STEP = 0.05
-"""Finest unit of rotations, radians, of a splat whose two long axes are alike."""
+"""Finest unit of rotations, radians, of a splat with two equal long axes."""
 
 SMALL = 25.0
-"""Percentile of all sizes below which splats are told no more exactly: they are specks beside their neighbours."""
+"""Percentile of all sizes. Smaller splats get the unit of this size: they are specks beside their neighbours."""
 
 TYPICAL = 35.0
-"""Percentile of the sizes that share a base code by which these are told."""
+"""Percentile of the sizes with the same base code that determines their unit."""
 
 LEAST_TURN = 0.05
-"""Needles are told at most so many times more exactly than discs."""
+"""Smallest ratio of middle to longest axis that makes the unit of rotations finer."""
 
 
 def motion_steps(samples: Splats, base_codes: U32, codes: int) -> MotionSteps:
-    """Units for each base code of scale, 0 to ``codes`` - 1, from ``samples`` [n] that have ``base_codes`` [n]."""
+    """Units for each base code of scale, 0 to ``codes`` - 1, from ``samples`` [n] with ``base_codes`` [n]."""
     sizes = np.sort(np.exp(np.clip(samples.log_scales.astype(np.float64), -60, 60)), axis=1)
     middle, slimness = sizes[:, 1], np.clip(sizes[:, 1] / np.maximum(sizes[:, 2], 1e-300), LEAST_TURN, 1.0)
     least = float(np.percentile(middle, SMALL))
@@ -42,5 +42,5 @@ def _by_code(values: F64, base_codes: U32, codes: int, share: float) -> list[flo
 
 
 def _short(value: float) -> float:
-    """As float32, which players compute with."""
+    """Rounded to float32, the precision of players."""
     return float(np.float32(value))

@@ -1,8 +1,8 @@
-"""How exactly a clip's motion has to be told: as its looks are, so that motion is never what makes a picture poor.
+"""Accuracy of a clip's motion: in proportion to the accuracy of its looks, so that motion never limits quality.
 
-The first frame is drawn with its looks quantised, and with its splats shifted and turned by noise. The tolerance is the
-noise whose error is a small part of quantisation's, at the base and with every level. Chunks are then told as exactly
-as their own errors ask for (:mod:`cags_encoder.motion.chunks`).
+The first frame is drawn with quantised looks, and with noise added to positions and rotations. The tolerance is the
+noise whose error is a small share of the quantisation error, at the base and with every level. The accuracy of each
+chunk then follows from its own errors (:mod:`cags_encoder.motion.chunks`).
 """
 
 from __future__ import annotations
@@ -22,53 +22,53 @@ from cags_common.tiles.attributes import join_attributes
 from cags_encoder.codecs.svq import SvqCodec, SvqSplats
 
 SHARES = 0.2, 0.4
-"""Parts of the squared error of quantised looks that motion, and that turning, may add: at the base and in all."""
+"""Shares of the squared error of quantised looks that positions, and rotations, may add: at the base and at the top."""
 
 LEAST_SHARE = 0.05
-"""Of fewer moving splats each may not be more wrong."""
+"""If a smaller share of the splats moves, the tolerance grows no further."""
 
 SPARE = 0.35
-"""Levels tell nothing where without them errors are still this part of what is tolerable."""
+"""A level stays empty if the error without it is below this share of the tolerance."""
 
 TRIES = 3
-"""Trials by which the noise of an error is found: errors grow nearly with its square."""
+"""Iterations for the noise that gives an error: the error grows nearly with the square of the noise."""
 
 _OPTIONS = RenderOptions(depth=DepthKind.NONE)
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """By how many finest units, in the root mean square, a tile's samples may be wrong."""
+    """Allowed root mean square error of a tile's samples, in finest units."""
 
     base: float = 8.0
     """With level 0 alone."""
     top: float = 0.5
     """With every level."""
     spare: float = 0.25
-    """So little that a level more is not told."""
+    """Below this error further levels stay empty."""
 
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Tolerances of positions and rotations; unmeasured, those that the levels imply."""
+    """Tolerances of positions and rotations. The defaults, if nothing was measured, follow from the levels' units."""
 
     moves: Tolerance = Tolerance()
     turns: Tolerance = Tolerance()
 
     def over(self, share: float) -> Tolerances:
-        """Tolerances if only a ``share`` of the splats moves, and errors occur there alone."""
+        """Tolerances if only this ``share`` of the splats moves, so that only they have errors."""
         more = max(share, LEAST_SHARE) ** -0.5
         return Tolerances(*(Tolerance(t.base * more, t.top * more, t.spare) for t in (self.moves, self.turns)))
 
 
 @dataclass(frozen=True)
 class Looked:
-    """What pictures are made of, and by what."""
+    """How the test views are rendered, and the error that they already have."""
 
     cameras: Sequence[Camera]
     rasteriser: Rasteriser
     wrong: float
-    """By how much colours, 0 to 1, are wrong of splats that are not told anew: at most, evenly spread."""
+    """Largest error of colours, 0 to 1, of splats that are not updated; errors are evenly distributed up to it."""
 
 
 def tolerances(codec: SvqCodec, splats: Splats, steps: Steps, looked: Looked) -> Tolerances:
@@ -81,17 +81,17 @@ def tolerances(codec: SvqCodec, splats: Splats, steps: Steps, looked: Looked) ->
     base, top = (share * (trial.error(copy) + looked.wrong**2 / 3) for share, copy in zip(SHARES, shown, strict=True))
     noise = np.random.default_rng(0).normal(size=(2, len(splats), 3))
 
-    def moved(size: float) -> float:
+    def moves_error(size: float) -> float:
         means = splats.means + noise[0] * steps.moves[:, None].astype(np.float64) * size
         return trial.error(replace(splats, means=means.astype(np.float32)))
 
-    def turned(size: float) -> float:
+    def turns_error(size: float) -> float:
         turn = np.concatenate([np.ones((len(splats), 1)), noise[1] * steps.turns[:, None] * size], axis=1)
         quats = product(turn, splats.quats.astype(np.float64))
         quats /= np.linalg.norm(quats, axis=1, keepdims=True)
         return trial.error(replace(splats, quats=quats.astype(np.float32)))
 
-    return Tolerances(*(_tolerance(error, base, top) for error in (moved, turned)))
+    return Tolerances(*(_tolerance(error, base, top) for error in (moves_error, turns_error)))
 
 
 def _tolerance(error: Callable[[float], float], base: float, top: float) -> Tolerance:
@@ -100,7 +100,7 @@ def _tolerance(error: Callable[[float], float], base: float, top: float) -> Tole
 
 
 def _noise(error: Callable[[float], float], allowed: float) -> float:
-    """The noise, finest units, that gives the ``allowed`` error."""
+    """The noise, in finest units, that gives the ``allowed`` error."""
     size = 1.0
     for _ in range(TRIES):
         size = float(np.clip(size * (allowed / max(error(size), 1e-15)) ** 0.5, 1e-3, 1e3))
@@ -114,14 +114,14 @@ def _at_base(codec: SvqCodec, coded: SvqSplats) -> Splats:
 
 
 class _Trial:
-    """The splats as they are, to be compared with them changed."""
+    """Compares views of changed splats with views of the unchanged ones."""
 
     def __init__(self, splats: Splats, looked: Looked) -> None:
         self._looked = looked
         self._truth = self._draw(splats)
 
     def error(self, splats: Splats) -> float:
-        """Mean squared error of their pictures over what the true ones cover."""
+        """Mean squared error of the views of ``splats`` over the pixels that the true splats cover."""
         total, pixels = 1e-12, 1e-9
         for true, shown in zip(self._truth, self._draw(splats), strict=True):
             mask: NDArray[np.bool_] = covered_mask(true.alpha)

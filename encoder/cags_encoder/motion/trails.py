@@ -1,4 +1,4 @@
-"""Where every splat of a group is, a few frames ahead of the frame that is being written."""
+"""States of a group's splats, some frames ahead of the frame that is written."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cags_encoder.tracks.placing import Placed
 
 @dataclass(frozen=True, eq=False)
 class _Moment:
-    """All ids at one frame."""
+    """All splats at one frame, indexed by id."""
 
     means: F32  # [capacity, 3]
     quats: F32  # [capacity, 4]
@@ -34,29 +34,29 @@ class Window:
     means: F32  # [frames, n, 3]
     quats: F32  # [frames, n, 4]
     opacities: F32  # [frames, n]
-    present: NDArray[np.bool_]  # [frames, n] alive, and never gone before
+    present: NDArray[np.bool_]  # [frames, n] alive since the first frame
 
     def last(self) -> Window:
-        """The last frame alone."""
+        """The last frame of the window."""
         return Window(self.means[-1:], self.quats[-1:], self.opacities[-1:], self.present[-1:])
 
 
 class Trails:
-    """Follows the frames of one group after another, ``span`` frames ahead."""
+    """Follows frames, group after group, ``span`` frames ahead."""
 
     def __init__(self, span: int, wrong: float) -> None:
-        """Follow ``span`` frames ahead; looks may be wrong by a visible effect of ``wrong``."""
+        """Look ``span`` frames ahead; looks may have a visible error of ``wrong``."""
         self._span, self._wrong = span, wrong
         self._moments: dict[int, _Moment] = {}
         self._newest: _Moment | None = None
-        self._ends: dict[int, int] = {}  # first frame of a group -> its last
+        self._ends: dict[int, int] = {}  # first frame of a group -> its last known frame
         self._group = 0
 
     def follow(self, placed: Iterable[Placed]) -> Iterator[Placed]:
-        """The same frames, each once the ``span`` frames after it, or the last of its group, are known.
+        """Yield the same frames, each when the next ``span`` frames, or the rest of its group, are known.
 
-        New splats that fade come with their largest opacity, which motion then takes down. Other looks that change are
-        those that last (:mod:`cags_encoder.tracks.lasting`).
+        New splats that fade get their largest opacity, which motion then reduces. Other looks get values that last
+        (:mod:`cags_encoder.tracks.lasting`).
         """
         waiting: deque[Placed] = deque()
         for frame in placed:
@@ -71,17 +71,17 @@ class Trails:
         yield from self._last(waiting)
 
     def forget(self, frame: int) -> None:
-        """Nothing before ``frame`` will be asked for."""
+        """Drop the frames before ``frame``."""
         for old in [at for at in self._moments if at < frame]:
             del self._moments[old]
 
     def last(self, frame: int) -> int:
-        """The last frame of the group of ``frame``, as far as is known: at least ``span`` frames ahead."""
+        """The last frame of the group of ``frame`` as far as known: at least ``span`` frames ahead."""
         group = max(first for first in self._ends if first <= frame)
         return self._ends[group]
 
     def window(self, ids: Ids, first: int, last: int) -> Window:
-        """``ids`` [n], which exist at frame ``first``, from there to ``last``."""
+        """States of ``ids`` [n], which exist at frame ``first``, from ``first`` to ``last``."""
         moments = [self._moments[at] for at in range(first, last + 1)]
         alive = np.stack([moment.alive[ids] for moment in moments])
         return Window(
@@ -114,7 +114,7 @@ class Trails:
         return replace(frame, told=lasting(splats.take(looks), frame.delta.ids[looks], later, self._wrong))
 
     def _peaks(self, frame: Placed, births: NDArray[np.intp], last: int) -> F32:
-        """Opacity logits [m] of the delta's splats; of ``births`` that fade the largest that they will have."""
+        """Opacity logits [m] of the delta's splats; for those of ``births`` that fade, the largest of their life."""
         window = self.window(frame.delta.ids[births], frame.index, last)
         opacities = window.opacities.astype(np.float64)
         peak = peaks(opacities, window.present)

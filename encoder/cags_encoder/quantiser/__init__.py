@@ -1,1 +1,1 @@
-"""Training Scalable Vector Quantisation codebooks and assigning codes (paper, section of that name)."""
+"""Training of Scalable Vector Quantisation codebooks and assignment of codes (paper, section of that name)."""

@@ -1,8 +1,8 @@
-"""One way, of the 24 there are, to write the same Gaussian down.
+"""A unique representation, of the 24 equivalent ones, for each Gaussian.
 
-A Gaussian's axes may be named in any order and point either way. Here the first axis is the longest, the last the
-shortest, and of the four rotations that remain the smallest is taken. Scales then have a quarter of the spread and
-rotations stay within 120 degrees, which saves about 2.5 bits of scale a splat at equal error.
+A Gaussian's axes may have any order and direction. Here the first axis is the longest and the last the shortest; of the
+four remaining rotations the smallest is taken. Scales then have a quarter of the spread and rotations stay within
+120 degrees, which saves about 2.5 bits of scale per splat at equal error.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from cags_common.splats import Splats
 
 
 def canonical(splats: Splats) -> Splats:
-    """The same splats with log scales descending and the rotation of largest real part; drawn pictures are the same."""
+    """The same splats with descending log scales and the rotation of largest real part; they are drawn identically."""
     order = np.argsort(-splats.log_scales, axis=1, kind="stable")
     index = order[:, 0] * 3 + order[:, 1]
     quats = _times(splats.quats.astype(np.float64), _PERMUTATIONS[index])
@@ -28,7 +28,7 @@ def canonical(splats: Splats) -> Splats:
 
 
 def _permutation_quaternions() -> F64:
-    """Row ``3 first + second``: the rotation [4] whose columns are the axes first, second and the one left over."""
+    """Row ``3 first + second``: the rotation [4] whose columns are the axes first, second and the remaining one."""
     out = np.zeros((9, 4))
     for first in range(3):
         for second in range(3):
@@ -57,9 +57,9 @@ def _times(a: F64, b: F64) -> F64:
 
 
 def _largest_first(quats: F64) -> F64 | F32:
-    """Turn by 180 degrees about one of the Gaussian's own axes, so that the largest component becomes the real one.
+    """Rotate by 180 degrees about one of the Gaussian's axes, so that the largest component becomes the real one.
 
-    Such a turn changes the sign of two axes, which no Gaussian shows.
+    Such a rotation changes the sign of two axes, under which a Gaussian is symmetric.
     """
     w, x, y, z = quats.T
     turned = np.stack([quats, np.stack([x, -w, -z, y], 1), np.stack([y, z, -w, -x], 1), np.stack([z, -y, x, -w], 1)])

@@ -82,7 +82,7 @@ def layered(name: str, bits: dict[str, tuple[int, int]], position_step: float = 
     return QuantiserConfig(name, parts, position_step=position_step)
 
 
-# One code per splat and attribute, as the paper's text counts; the authors' code has one SH code per colour channel.
+# One code per splat and attribute, as in the paper's text; the authors' code has one SH code per colour channel.
 # The paper does not say where the ten additional bits of the second configuration go: geometry gets most of them here.
 _CONFIGS = {
     config.name: config
@@ -101,7 +101,7 @@ _CONFIGS = {
         ),
         _paper("paper-66", (10, 8, 10, 8, 9, 8, 7, 6)),
         _paper("paper-76", (12, 9, 12, 9, 10, 9, 8, 7)),
-        layered(  # as exact as SPZ files are
+        layered(  # as accurate as SPZ files
             "layered-fine",
             {
                 "scale": (10, 12),

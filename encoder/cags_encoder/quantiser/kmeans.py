@@ -1,4 +1,4 @@
-"""k-means by faiss, made safe for what real data holds: few distinct values, duplicates, constants."""
+"""k-means by faiss, made robust for real data: few distinct values, duplicates, constants."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ TREE_DIMS = 4
 
 
 def kmeans(points: F32, clusters: int, seed: int, iterations: int = ITERATIONS) -> F32:
-    """At most ``clusters`` centres [k, dim] of ``points`` [n, dim], n >= 1; fewer when there are fewer distinct points.
+    """At most ``clusters`` centres [k, dim] of ``points`` [n, dim], n >= 1; fewer if there are fewer distinct points.
 
-    Deterministic for a seed. Each axis' units count as they are.
+    Deterministic for a seed. The axes are not rescaled.
     """
     distinct = np.unique(points, axis=0)
     if len(distinct) <= clusters:
@@ -44,7 +44,7 @@ def kmeans(points: F32, clusters: int, seed: int, iterations: int = ITERATIONS) 
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """Run faiss on one thread: two are slower on cores that others use too, and the thread count changes no result."""
+    """Run faiss on one thread: two are slower on shared cores, and the number of threads does not change the result."""
     before = faiss.omp_get_max_threads()
     faiss.omp_set_num_threads(1)
     try:

@@ -1,4 +1,4 @@
-"""Codebooks of our own: a tree by splitting, and a second, shared tree that refines its leaves."""
+"""This project's codebooks: a tree by splitting, and a second, shared tree that refines its leaves."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from cags_encoder.quantiser.printed import layers_of
 from cags_encoder.quantiser.splitting import cell_spreads, halving_tree, split_tree
 
 REFINE_LIMIT = 4.0
-"""Offsets beyond this many spreads are drawn in before the second tree is trained: it is for the many, not the few."""
+"""Offsets are limited to this many spreads before the second tree is trained, so that outliers do not dominate it."""
 
 
 class LayeredEncoder:
     """Trains and assigns one attribute's codes.
 
-    Tables are rounded to float16, and codes are found with the rounded ones: what the decoder has is what counts.
+    Tables are rounded to float16 and codes are found with the rounded tables, which the decoder uses.
     """
 
     def __init__(self, values: F32, weights: F64, attribute: AttributeQuantiser, config: QuantiserConfig) -> None:
@@ -56,7 +56,7 @@ class LayeredEncoder:
 
 
 _TINY = np.float32(2.0**-14)
-"""Least spread: the smallest ordinary float16."""
+"""Smallest spread: the smallest normal float16."""
 
 
 def _half(values: F64) -> F32:
@@ -65,7 +65,7 @@ def _half(values: F64) -> F32:
 
 
 def _tree(points: F64, weights: F64, bits: int, base_bits: int) -> tuple[list[F64], NDArray[np.int64]]:
-    """Cell means by level and the points' cells; where there are few distinct points every one gets its own cell."""
+    """Cell means by level and the points' cells. If there are few distinct points, each gets its own cell."""
     distinct, which = np.unique(points, axis=0, return_inverse=True)
     if len(distinct) > 1 << bits:
         return split_tree(points, weights, bits)

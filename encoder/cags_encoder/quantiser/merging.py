@@ -1,4 +1,4 @@
-"""Merging k-means clusters bottom-up into a few binary trees."""
+"""Merges k-means clusters bottom-up into a few binary trees."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ _I64 = NDArray[np.int64]
 
 
 def merge_as_printed(points: F32, labels: _I64, centres: F32, target: int) -> list[Node]:
-    """Merge until ``target`` clusters remain, by the paper's distance; return their trees.
+    """Merge until ``target`` clusters remain, by the paper's distance, and return their trees.
 
-    The distance of two clusters is the mean distance of their members from their common mean, and only each cluster's
-    two nearest neighbours (by centre) are considered. ``points`` [n, dim] with ``labels`` [n] in 0..k-1 are the
-    members, and every one of ``centres`` [k, dim] must have one. Deterministic: ties go to the lower indices.
+    The distance of two clusters is the mean distance of their members from their common mean. Only each cluster's two
+    nearest neighbours (by centre) are considered. ``points`` [n, dim] with ``labels`` [n] in 0..k-1 are the members;
+    each of ``centres`` [k, dim] must have at least one. Deterministic: ties go to the lower indices.
     """
     return _PrintedMerger(points, labels, centres).run(target)
 
@@ -63,7 +63,7 @@ class _PrintedMerger:
         self._refresh(np.flatnonzero(touched & self._alive))
 
     def _refresh(self, rows: _I64) -> None:
-        """Find the two nearest neighbours of ``rows`` anew and what merging with them would cost."""
+        """Find the two nearest neighbours of ``rows`` again, and the cost of merging with them."""
         self._near[rows] = np.argsort(self._distance[rows], axis=1, kind="stable")[:, :2]
         for row in rows:
             for column, other in enumerate(self._near[row]):

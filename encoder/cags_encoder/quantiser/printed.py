@@ -1,4 +1,4 @@
-"""Codebooks as the paper prints them: k-means, then merging bottom-up into binary trees."""
+"""Codebooks as in the paper: k-means, then merging bottom-up into binary trees."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from cags_encoder.quantiser.merging import merge_as_printed
 from cags_encoder.quantiser.tree import Node, assign_codes, code_length
 
 MERGE_SAMPLES = 16_384
-"""Members that merge distances are taken over: the paper's distance costs time in proportion."""
+"""Number of members for merge distances, whose time is proportional to it."""
 
 SLACK_BITS = 2
-"""Bits a code may be longer than the logarithm of its leaves; a deeper tree is cut in the middle there."""
+"""Codes may be this many bits longer than the logarithm of the number of leaves; deeper trees are cut in the middle."""
 
 
 class PrintedEncoder:
@@ -39,19 +39,21 @@ class PrintedEncoder:
         self._nearest, self._codes = NearestCentre(means.astype(np.float32)), coded.codes
 
     def encode(self, values: F32) -> U32:
-        """Codes [n] of full length of raw values [n, dim]: the nearest leaf in the space that was clustered."""
+        """Codes [n] of full length for raw values [n, dim]: the nearest leaf in the space of the clustering."""
         codes: U32 = self._codes[self._nearest(self._attribute.to_space(values))]
         return codes
 
 
 def layers_of(length: int, config: QuantiserConfig) -> tuple[int, ...]:
-    """The base layer and as many enhancement layers as ``length`` bits take."""
+    """The base layer and as many enhancement layers as ``length`` bits need."""
     full, rest = divmod(max(length - config.base_bits, 0), config.layer_bits)
     return (config.base_bits, *(config.layer_bits,) * full, *((rest,) if rest else ()))
 
 
 def _roots(points: F32, labels: NDArray[np.int64], centres: F32, config: QuantiserConfig) -> list[Node]:
-    """Trees of the base clusters, along the axis in which they differ most: close codes are close values."""
+    """Trees of the base clusters, sorted along the axis in which they differ most, so that close codes are close
+    values.
+    """
     step = max(1, len(points) // MERGE_SAMPLES)
     rows = np.unique(np.concatenate([np.arange(0, len(points), step), np.unique(labels, return_index=True)[1]]))
     roots = merge_as_printed(points[rows], labels[rows], centres, min(1 << config.base_bits, len(centres)))

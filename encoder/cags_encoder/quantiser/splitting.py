@@ -1,8 +1,8 @@
-"""Tree-structured vector quantisation: cells split in two, level by level, all cells of a level at once.
+"""Tree-structured vector quantisation: cells are split in two, level by level, all cells of a level at once.
 
-Top-down where the paper merges bottom-up: every prefix of a code is a good quantiser of its own, the tree is complete,
-so that each bit of a code tells about one bit, and training takes a second instead of minutes (Gersho and Gray 1992,
-chapter 12.4).
+Unlike the paper's bottom-up merging it works top-down. Every prefix of a code is a good quantiser, the tree is
+complete, so that each bit carries about one bit of information, and training takes a second instead of minutes (Gersho
+and Gray 1992, chapter 12.4).
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from cags_common.geometry import F64
 
 LLOYD_STEPS = 6
-"""Two-means steps a split; the error falls by under 0.5 % with more."""
+"""Two-means steps per split; more reduce the error by less than 0.5 %."""
 
 
 def split_tree(points: F64, weights: F64, depth: int) -> tuple[list[F64], NDArray[np.int64]]:
-    """Cell means of every level and each point's cell of the last.
+    """Cell means of every level, and each point's cell at the last level.
 
-    ``points`` [n, dim], ``weights`` [n] > 0. Element ``d`` of the list is [2**d, dim]; child ``2 c`` and ``2 c + 1`` of
-    cell ``c`` are its lower and upper half along its longest axis. A cell without points repeats its parent's mean.
+    ``points`` [n, dim], ``weights`` [n] > 0. Element ``d`` of the list is [2**d, dim]. Children ``2 c`` and ``2 c + 1``
+    of cell ``c`` are its lower and upper half along its longest axis. A cell without points repeats its parent's mean.
     """
     cells = np.zeros(len(points), np.int64)
     means = [np.average(points, axis=0, weights=weights)[None]]
@@ -36,7 +36,7 @@ def split_tree(points: F64, weights: F64, depth: int) -> tuple[list[F64], NDArra
 
 
 def halving_tree(points: F64, weights: F64, depth: int) -> tuple[list[F64], NDArray[np.int64]]:
-    """As :func:`split_tree`, but every cell is cut at its median: at most 2**depth distinct points end up alone."""
+    """Like :func:`split_tree`, but cuts cells at the median: at most 2**depth distinct points end up alone."""
     cells = np.zeros(len(points), np.int64)
     means = [np.average(points, axis=0, weights=weights)[None]]
     for level in range(depth):
@@ -52,7 +52,7 @@ def halving_tree(points: F64, weights: F64, depth: int) -> tuple[list[F64], NDAr
 
 
 def cell_means(points: F64, weights: F64, cells: NDArray[np.int64], otherwise: F64) -> F64:
-    """Weighted mean [k, dim] of each cell's points; rows of ``otherwise`` where a cell has none."""
+    """Weighted mean [k, dim] of each cell's points; the row of ``otherwise`` for cells without points."""
     k = len(otherwise)
     total = np.bincount(cells, weights, k)
     sums = np.stack([np.bincount(cells, weights * column, k) for column in points.T], axis=1)
@@ -60,8 +60,8 @@ def cell_means(points: F64, weights: F64, cells: NDArray[np.int64], otherwise: F
 
 
 def cell_spreads(points: F64, weights: F64, cells: NDArray[np.int64], means: F64) -> F64:
-    """Weighted standard deviation [k, dim] of each cell's points, pulled towards the mean of all cells where points are
-    few.
+    """Weighted standard deviation [k, dim] of each cell's points, regularised towards the mean of all cells for cells
+    with few points.
     """
     k = len(means)
     away = np.square(points - means[cells])
@@ -74,11 +74,13 @@ def cell_spreads(points: F64, weights: F64, cells: NDArray[np.int64], means: F64
 
 
 PRIOR_POINTS = 4.0
-"""Points' worth of the typical spread that each cell's own is mixed with."""
+"""Weight of the typical spread in each cell's own, in points."""
 
 
 def _along_longest_axis(points: F64, weights: F64, cells: NDArray[np.int64], means: F64) -> F64:
-    """Each point's coordinate [n] from its cell's mean along the cell's principal axis, which points to rising sums."""
+    """Each point's coordinate [n] relative to its cell's mean along the cell's principal axis, which points to larger
+    sums.
+    """
     k, dim = means.shape
     away = points - means[cells]
     covariance = np.zeros((k, dim, dim))

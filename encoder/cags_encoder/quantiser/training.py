@@ -1,4 +1,4 @@
-"""From samples of splats to codebooks, and from splats to codes."""
+"""Trains codebooks on sampled splats, and assigns codes."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ class AttributeEncoder(Protocol):
 
     @property
     def book(self) -> Codebook:
-        """What a decoder needs."""
+        """The codebook for decoders."""
         ...
 
     def encode(self, values: F32) -> U32:
-        """Codes [n] of full length of raw values [n, dim]."""
+        """Codes [n] of full length for raw values [n, dim]."""
         ...
 
 
 class Quantiser:
-    """The codebooks of a clip and the way to encode with them."""
+    """The codebooks of a clip, and the encoding with them."""
 
     def __init__(self, encoders: Mapping[str, AttributeEncoder], *, canonical_axes: bool) -> None:
         self._encoders, self.canonical_axes = dict(encoders), canonical_axes
@@ -40,7 +40,7 @@ class Quantiser:
         self.books = CodebookSet({name: encoder.book for name, encoder in encoders.items()})
 
     def prepare(self, splats: Splats) -> Splats:
-        """The splats in the form that :meth:`encode` takes and a decoder gives back: drawn, they are the same."""
+        """The splats in the form that :meth:`encode` takes and a decoder returns; they are drawn identically."""
         return canonical(splats) if self.canonical_axes else splats
 
     def encode(self, prepared: Splats) -> dict[str, U32]:
@@ -49,14 +49,14 @@ class Quantiser:
         return {name: encoder.encode(values[name]) for name, encoder in self._encoders.items()}
 
     def decode(self, codes: dict[str, U32]) -> dict[str, F32]:
-        """Attribute -> values [n, dim], as a decoder that has every layer sees them."""
+        """Attribute -> values [n, dim], as decoded with every layer."""
         return {book.attribute: book.lookup(codes[book.attribute], len(book.layer_bits)) for book in self.books}
 
 
 def train(samples: Splats, config: QuantiserConfig, seed: int, weights: F64 | None = None) -> Quantiser:
     """Train every attribute's codebook on ``samples`` (n >= 1). Deterministic for a seed.
 
-    ``weights`` [n] > 0 say how much each sample counts; codebooks as printed know none.
+    ``weights`` [n] > 0 are the samples' weights; codebooks as in the paper ignore them.
     """
     if config.as_printed:
         values = split_attributes(samples)

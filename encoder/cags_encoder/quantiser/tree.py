@@ -1,4 +1,4 @@
-"""Cluster trees: a forest of binary trees over k-means leaves, limited in depth, with codes by position."""
+"""Cluster trees: a forest of binary trees of limited depth over k-means leaves, with codes by position."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Fork:
         """Indices of the leaves below, in order."""
         out: list[int] = []
         stack: list[Node] = [self]
-        while stack:  # no recursion: a chain of merges may be as deep as there are leaves
+        while stack:  # no recursion: a chain of merges may be as deep as the number of leaves
             node = stack.pop()
             if isinstance(node, Leaf):
                 out.append(node.index)
@@ -46,23 +46,21 @@ Node = Leaf | Fork
 
 @dataclass(frozen=True, eq=False)
 class CodedTree:
-    """Codes of leaves, and the values of all prefixes."""
+    """Codes of the leaves, and the values of all prefixes."""
 
     codes: np.ndarray  # [leaves] uint32, full length
-    tables: tuple[F32, ...]  # one a layer, see cags_common.tiles.svq.Codebook
+    tables: tuple[F32, ...]  # one per layer, see cags_common.tiles.svq.Codebook
 
 
 def code_length(roots: list[Node], base_bits: int, wished: int) -> int:
-    """Bits of the codes: as the deepest tree needs, but at most ``wished``, unless there are more leaves than that
-    codes.
-    """
+    """Number of code bits: enough for the deepest tree, but at most ``wished`` unless there are too many leaves."""
     deepest = max(_height(root) for root in roots)
     widest = max(len(root.leaves()) for root in roots)
     return base_bits + max(min(deepest, wished - base_bits), (widest - 1).bit_length())
 
 
 def _height(root: Node) -> int:
-    """Longest way down from ``root``, in forks."""
+    """Longest path down from ``root``, in forks."""
     stack: list[tuple[Node, int]] = [(root, 0)]
     height = 0
     while stack:
@@ -74,11 +72,11 @@ def _height(root: Node) -> int:
 
 
 def assign_codes(roots: list[Node], centres: F64, weights: F64, layer_bits: tuple[int, ...]) -> CodedTree:
-    """Give every leaf a code of ``sum(layer_bits)`` bits by its place in the forest, and every prefix its value.
+    """Assign every leaf a code of ``sum(layer_bits)`` bits by its position in the forest, and every prefix a value.
 
-    ``centres`` [leaves, dim] and ``weights`` [leaves] (how many samples) are of the leaves; an inner node's value is
-    the mean of the samples below it. A node whose subtree is too deep for the bits that are left is cut in the middle
-    of its leaves, which keeps similar leaves together. Leaves that end early are repeated below themselves.
+    ``centres`` [leaves, dim] and ``weights`` [leaves] (numbers of samples) belong to the leaves. The value of an inner
+    node is the mean of the samples below it. A node whose subtree is too deep for the remaining bits is cut in the
+    middle of its leaves, which keeps similar leaves together. Leaves that end early are repeated at the levels below.
     """
     total, dim = sum(layer_bits), centres.shape[1]
     codes = np.zeros(len(weights), np.uint32)
@@ -93,7 +91,7 @@ def assign_codes(roots: list[Node], centres: F64, weights: F64, layer_bits: tupl
 
 
 def _walk(root: Node, base: int, base_bits: int, total: int) -> Iterator[tuple[int, int, list[int]]]:
-    """Prefix, its length and the leaves below, of every node from the root down."""
+    """Prefix, its length and the leaves below, for every node from the root down."""
     stack: list[tuple[Node | list[int], int, int]] = [(root, base, base_bits)]
     while stack:
         node, prefix, depth = stack.pop()

@@ -1,6 +1,6 @@
-"""A scene as a capture tool chain delivers it: rows shuffled in every frame, attributes coarsely quantised.
+"""A scene as it comes from a capture's tool chain: rows shuffled in every frame, attributes coarsely quantised.
 
-Used to test encoders on such input with a known ground truth.
+Tests use it to check encoders on such input against a known ground truth.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ QUANTISED = {"sog": quantised_as_sog, "spz": quantised_as_spz}
 class DisguiseOptions:
     """Changes to the frames of a scene; the defaults change nothing."""
 
-    shuffle: int = setting(0, "1: rows in a new order in every frame, and identities withheld", low=0, high=1)
+    shuffle: int = setting(0, "1: shuffle the rows of every frame and hide their identities", low=0, high=1)
     quantise: str = setting(
-        "none", "attributes quantised frame by frame as a format does", choices=("none", *QUANTISED)
+        "none", "quantise the attributes of every frame as this file format does", choices=("none", *QUANTISED)
     )
 
     def __post_init__(self) -> None:
@@ -40,40 +40,40 @@ class DisguisedScene:
 
     @property
     def name(self) -> str:
-        """The scene's."""
+        """Name of the scene."""
         return self._base.name
 
     @property
     def fps(self) -> float:
-        """The scene's."""
+        """Frame rate of the scene."""
         return self._base.fps
 
     @property
     def up(self) -> Vec3:
-        """The scene's."""
+        """Up direction of the scene."""
         return self._base.up
 
     @property
     def focus(self) -> Focus:
-        """The scene's."""
+        """Focus of the scene."""
         return self._base.focus
 
     def __len__(self) -> int:
         return len(self._base)
 
     def frame(self, index: int) -> Splats:
-        """The scene's frame ``index``, disguised."""
+        """Frame ``index`` of the scene, shuffled and quantised."""
         splats = self._base.frame(index)
         if self._options.quantise != "none":
             splats = QUANTISED[self._options.quantise](splats).checked(f"{self.name}, frame {index}")
         return splats.take(self.order(index, len(splats))) if self._options.shuffle else splats
 
     def ids(self, index: int) -> Ids | None:
-        """The scene's; None if rows are shuffled."""
+        """Identities of the scene; None if rows are shuffled."""
         return None if self._options.shuffle else self._base.ids(index)
 
     def order(self, index: int, count: int) -> Ids:
-        """For each of ``count`` rows, its row in the scene's frame ``index``."""
+        """For each of ``count`` rows, its index in the scene's frame ``index``."""
         if not self._options.shuffle:
             return np.arange(count, dtype=np.int32)
         return np.random.default_rng([index, count]).permutation(count).astype(np.int32)

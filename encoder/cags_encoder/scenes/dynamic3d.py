@@ -1,8 +1,8 @@
-"""Dynamic 3D Gaussians' ``params.npz`` (Luiten et al. 2023): one set of splats that moves, turns and changes colour.
+"""Dynamic 3D Gaussians' ``params.npz`` (Luiten et al. 2023): one set of splats that move, rotate and change colour.
 
 Positions ``means3D`` [T, N, 3], colours ``rgb_colors`` [T, N, 3] in 0..1 and rotations ``unnorm_rotations`` [T, N, 4]
-(wxyz) are kept for each time step; ``log_scales`` [N, 3] and ``logit_opacities`` [N, 1] once. An array with or without
-the axis of time is taken either way. Row numbers are identities.
+(wxyz) are stored per time step; ``log_scales`` [N, 3] and ``logit_opacities`` [N, 1] once. Each array may have a time
+axis or not. Row numbers are identities.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _UP: Vec3 = (0.0, -1.0, 0.0)
 
 
 class Dynamic3dScene:
-    """The time steps of a ``params.npz``. Raises :class:`SceneError` for archives of another kind."""
+    """The time steps of a ``params.npz``. Raises :class:`SceneError` for other archives."""
 
     def __init__(self, path: Path, options: FileOptions) -> None:
         self._path, self._options = path, options
@@ -61,17 +61,17 @@ class Dynamic3dScene:
 
     @property
     def fps(self) -> float:
-        """As the options say."""
+        """Frame rate given by the options."""
         return self._options.fps
 
     @property
     def up(self) -> Vec3:
-        """-Y unless the options say otherwise: the method's scenes keep OpenCV's axes."""
+        """The options' up direction, or -Y: the method's scenes use OpenCV's axes."""
         return up_of(self._options, _UP)
 
     @property
     def focus(self) -> Focus:
-        """The bulk of the first step."""
+        """The options' focus, or the bulk of the first step."""
         return self._focus
 
     def __len__(self) -> int:
@@ -79,7 +79,7 @@ class Dynamic3dScene:
 
     @quietly
     def frame(self, index: int) -> Splats:
-        """Time step ``index``; the sequence begins again where ``frames`` exceeds it."""
+        """Time step ``index``; the sequence repeats if ``frames`` exceeds it."""
         if not 0 <= index < len(self):
             raise IndexError(index)
         step = index % self._steps
@@ -108,7 +108,7 @@ class Dynamic3dScene:
         return self._drop.kept
 
     def __getstate__(self) -> dict[str, Any]:
-        """Workers map the file themselves."""
+        """Workers map the file again."""
         return {name: value for name, value in self.__dict__.items() if name != "_arrays"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

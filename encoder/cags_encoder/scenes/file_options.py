@@ -1,4 +1,4 @@
-"""What files do not say about themselves, and how to say it."""
+"""Options that supply what scene files do not record."""
 
 from __future__ import annotations
 
@@ -28,19 +28,21 @@ ROWS = ("auto", "keep", "mixed")
 class FileOptions:
     """Options of scenes that are read from files."""
 
-    frames: int | None = setting(
-        None, "number of frames; beyond its end a sequence plays again", low=1, high=MAX_FRAMES
-    )
-    fps: float = setting(DEFAULT_FPS, "frames a second", low=1.0, high=240.0)
+    frames: int | None = setting(None, "number of frames; a shorter sequence repeats", low=1, high=MAX_FRAMES)
+    fps: float = setting(DEFAULT_FPS, "frames per second", low=1.0, high=240.0)
     duration: float | None = setting(
-        None, "seconds that the clip of a 4D file lasts; 50 thirtieths if not given", low=0.01, high=3600.0
+        None, "length of a 4D file's clip in seconds; 50/30 if not given", low=0.01, high=3600.0
     )
-    up: str | None = setting(None, "up direction; the format's usual one if not given", choices=tuple(_AXES))
-    focus: str | None = setting(None, "X/Y/Z/RADIUS of what viewers walk around; the scene's bulk if not given")
+    up: str | None = setting(None, "up direction; by default the usual one of the format", choices=tuple(_AXES))
+    focus: str | None = setting(
+        None, "X/Y/Z/RADIUS of the ball that viewers walk around; by default the bulk of the scene"
+    )
     repair: str = setting(
-        "none", "splats that cannot be drawn (NaN, infinities): drop leaves them out; else refused", choices=REPAIRS
+        "none", "splats with NaN or infinities: none refuses the file, drop leaves them out", choices=REPAIRS
     )
-    rows: str = setting("auto", "whether a row is the same splat in all frames; auto looks", choices=ROWS)
+    rows: str = setting(
+        "auto", "whether a row is the same splat in all frames: keep, mixed, or auto to detect it", choices=ROWS
+    )
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -48,16 +50,16 @@ class FileOptions:
             _parse_focus(self.focus)
 
     def dropper(self) -> DropBroken | None:
-        """A check that leaves out what cannot be drawn, where the options ask for it."""
+        """A check that leaves out splats that cannot be drawn, if the options ask for it."""
         return DropBroken() if self.repair == "drop" else None
 
     def focus_or(self, otherwise: Callable[[], Focus]) -> Focus:
-        """The focus that the options give, else what ``otherwise`` finds."""
+        """The focus given by the options, or the result of ``otherwise``."""
         return _parse_focus(self.focus) if self.focus is not None else otherwise()
 
 
 def up_of(options: FileOptions, usual: Vec3) -> Vec3:
-    """The up direction that the options give, else the ``usual`` one."""
+    """The up direction given by the options, or ``usual``."""
     return _AXES[options.up] if options.up else usual
 
 

@@ -1,4 +1,4 @@
-"""Scenes that are read from files: one file for a static scene, a folder of numbered files for a dynamic one."""
+"""Scenes read from files: one file for a static scene, a folder of numbered files for a dynamic one."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from cags_encoder.scenes.source import Focus, FrameSource, focus_of
 from cags_encoder.scenes.timed import TimedScene, is_timed
 
 DEFAULT_STATIC_FRAMES = 60
-"""Frames of a scene made of a single file."""
+"""Number of frames of a scene made of a single file."""
 
 UNSORTED_FORMATS = ("ply",)
-"""Formats whose writers keep the rows as training has them; the others are sorted anew for each frame."""
+"""Formats whose writers keep the row order of training. Other writers sort every frame anew."""
 
 SAME_SPLAT = 0.5
-"""Share of rows that must look like the same splat in two frames for rows to be taken as identities."""
+"""Share of rows that must look like the same splat in two frames if rows are to count as identities."""
 
 
 class FileScene:
-    """Frames from files, in order. A single file is a static scene: every frame is the same arrays."""
+    """Frames from files, in order. A single file is a static scene: all frames share the same arrays."""
 
     def __init__(self, name: str, files: list[Path], options: FileOptions) -> None:
         self._name, self._files, self._options = name, files, options
@@ -50,34 +50,34 @@ class FileScene:
 
     @property
     def fps(self) -> float:
-        """Frames a second, as the options say."""
+        """Frames per second, from the options."""
         return self._options.fps
 
     @property
     def up(self) -> Vec3:
-        """Up direction: the options', else the usual one of the format."""
+        """The options' up direction, or the usual one of the format."""
         return self._up
 
     @property
     def focus(self) -> Focus:
-        """The bulk of the first frame, unless the options say otherwise."""
+        """The options' focus, or the bulk of the first frame."""
         return self._focus
 
     def __len__(self) -> int:
         return self._options.frames or (len(self._files) if len(self._files) > 1 else DEFAULT_STATIC_FRAMES)
 
     def frame(self, index: int) -> Splats:
-        """Frame ``index``; the sequence begins again where ``frames`` exceeds it."""
+        """Frame ``index``; the sequence repeats if ``frames`` exceeds it."""
         if not 0 <= index < len(self):
             raise IndexError(index)
         return self._frame(index)[0]
 
     def ids(self, index: int) -> Ids | None:
-        """Rows of static scenes and of sequences that keep them (new splats come at the end); None for others."""
+        """Row numbers of static scenes, and of sequences that keep rows (new splats are appended); otherwise None."""
         return self._frame(index)[1] if self._rows_persist else None
 
     def _frame(self, index: int) -> tuple[Splats, Ids]:
-        """Frame ``index``, and the file's rows that are in it."""
+        """Frame ``index``, and the rows of the file that it contains."""
         file, held = index % len(self._files), self._held
         if held is None or held[0] != file:
             self._held = held = (file, *self._read(file))
@@ -98,12 +98,12 @@ class FileScene:
         return splats, entry, drop.kept if drop else np.arange(len(splats), dtype=np.int32)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Workers read the frames themselves."""
+        """Workers read the frames again."""
         return {**self.__dict__, "_held": None}
 
 
 def open_files(path: Path, options: FileOptions) -> FrameSource:
-    """Open a file or a folder. Raises :class:`SceneError` naming what is wrong, :class:`ConfigError` for options."""
+    """Open a file or folder. Raises :class:`SceneError` for bad files, :class:`ConfigError` for bad options."""
     if not path.exists():
         raise SceneError(f"{path}: no such file or folder; give one, or 'procedural'")
     if is_timed(path):
@@ -120,11 +120,11 @@ def open_files(path: Path, options: FileOptions) -> FrameSource:
 
 
 def rows_persist(before: Splats, after: Splats) -> bool:
-    """Whether rows are the same splats in two frames, as far as both go.
+    """Whether the common rows of two frames are the same splats.
 
-    Methods that carry splats from frame to frame leave something of most of them alone: the position, or the opacity
-    with the size or the colour; splats that come are appended. What all splats share says nothing: rows must agree much
-    more often with themselves than with others.
+    Methods that carry splats from frame to frame leave part of most splats unchanged: the position, or the opacity and
+    the size or colour. They append new splats. Values that all splats share prove nothing, so rows must agree with
+    themselves much more often than with other rows.
     """
     count = min(len(before), len(after))
     others = np.roll(np.arange(count), count // 2 + 1)

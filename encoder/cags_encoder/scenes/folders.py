@@ -1,8 +1,8 @@
-"""Which files of a folder are frames, and in which order.
+"""Finds the frames of a folder and their order.
 
 Known layouts: numbered files (``frame_0001.ply``, ``time_00000.ply``), numbered folders of unbundled SOG, and numbered
-folders as 3DGS training leaves them (``frame1/point_cloud/iteration_1000/point_cloud.ply``, of which the last iteration
-counts), as 3DGStream, HiCoM and TrackerSplat keep their sequences.
+folders as written by 3DGS training (``frame1/point_cloud/iteration_1000/point_cloud.ply``; the last iteration counts),
+which 3DGStream, HiCoM and TrackerSplat use for their sequences.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ TRAINED = "point_cloud.ply"
 
 
 def frame_of_folder(folder: Path) -> Path | None:
-    """The one frame that ``folder`` stands for, if any: an unbundled SOG, or a trained model's last iteration."""
+    """The single frame that ``folder`` represents, if any: an unbundled SOG, or a trained model's last iteration."""
     if (folder / META).is_file():
         return folder
     if (folder / TRAINED).is_file():
@@ -28,7 +28,7 @@ def frame_of_folder(folder: Path) -> Path | None:
 
 
 def numbered_frames(folder: Path) -> list[Path]:
-    """The frames in ``folder`` in natural order (2 before 10), all of one kind. Raises :class:`SceneError`."""
+    """The frames in ``folder`` in natural order (2 before 10), all in one format. Raises :class:`SceneError`."""
     try:
         entries = sorted(folder.iterdir(), key=lambda entry: natural_key(entry.name))
     except OSError as error:
@@ -36,9 +36,9 @@ def numbered_frames(folder: Path) -> list[Path]:
     named = [(entry, _frame(entry)) for entry in entries if not entry.name.startswith(".")]
     found = [(entry, frame) for entry, frame in named if frame is not None]
     if not found:
-        raise SceneError(f"{folder}: holds no frames; known are {', '.join(SUFFIXES)} and folders with {META}")
+        raise SceneError(f"{folder}: holds no frames; supported are {', '.join(SUFFIXES)} and folders with {META}")
     if len(found) > MAX_FRAMES:
-        raise SceneError(f"{folder}: holds {len(found)} files; at most {MAX_FRAMES} frames are read")
+        raise SceneError(f"{folder}: holds {len(found)} files; the limit is {MAX_FRAMES} frames")
     kinds = sorted({frame.suffix.lower() or META for _, frame in found})
     if len(kinds) > 1:
         raise SceneError(f"{folder}: mixes {kinds[0]} and {kinds[1]}; keep one sequence of one format in a folder")
@@ -55,6 +55,6 @@ def _frame(entry: Path) -> Path | None:
 
 
 def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
-    """Sort key by which numbers inside names count as numbers."""
+    """Sort key that compares numbers within names by value."""
     parts = re.findall(r"[0-9]+|[^0-9]+", name)
     return tuple((0, int(part[-18:]), part) if part[0] in "0123456789" else (1, 0, part) for part in parts)

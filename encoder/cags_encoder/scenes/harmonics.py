@@ -1,4 +1,4 @@
-"""Real spherical harmonics in the sign and order of 3D Gaussian files, to degree 3.
+"""Real spherical harmonics up to degree 3, with the signs and order of 3D Gaussian files.
 
 A splat's colour in the viewing direction d (unit, from the camera to the splat) is 0.5 plus the sum of its coefficients
 times :func:`basis` (Kerbl et al. 2023; constants after Sloan 2008).
@@ -40,7 +40,7 @@ def basis(directions: F64, degree: int) -> F64:
 
 @cache
 def lobe_bands(sharpness: float, degree: int) -> tuple[float, ...]:
-    """Factors of the bands of ``max(0, cos)^sharpness``: by Funk and Hecke, its Legendre integrals, scaled to peak 1.
+    """Factors of the bands of ``max(0, cos)^sharpness``: its Legendre integrals (Funk-Hecke), scaled to peak 1.
 
     The higher bands are damped (Hann's window) so that a truncated lobe rings less.
     """
@@ -61,10 +61,10 @@ def lobe(axes: F64, sharpness: float, degree: int) -> F64:
 
 
 def rotate_rest(sh_rest: F32, rotations: F64) -> F32:
-    """View-dependent coefficients [N, K, 3] of splats turned by ``rotations`` [3, 3] or [N, 3, 3].
+    """View-dependent coefficients [N, K, 3] of splats rotated by ``rotations`` [3, 3] or [N, 3, 3].
 
-    The basis at turned-back directions is again a combination of the basis, band by band; the combination follows from
-    enough directions by least squares, exactly.
+    The basis at rotated directions is a linear combination of the basis within each band. Least squares over
+    sufficiently many directions gives the combination exactly.
     """
     degree = SH_REST_OF_DEGREE.index(sh_rest.shape[1])
     if degree == 0:
@@ -77,7 +77,7 @@ def rotate_rest(sh_rest: F32, rotations: F64) -> F32:
 
 @cache
 def _directions() -> F64:
-    """Forty directions spread evenly (golden spiral)."""
+    """Forty evenly distributed directions (golden spiral)."""
     k = np.arange(40) + 0.5
     z, azimuth = 1 - 2 * k / 40, np.pi * (1 + 5**0.5) * k
     ring = np.sqrt(1 - z * z)

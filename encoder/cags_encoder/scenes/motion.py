@@ -1,8 +1,8 @@
-"""The motion tool: turns one capture into a dynamic scene with known identities.
+"""Turns one capture into a dynamic scene with known identities.
 
-A part of the scene moves rigidly, another bends, another changes colour, another appears and vanishes; everything else
+One part of the scene moves rigidly, another bends, another changes colour, and another appears and disappears; the rest
 is bit-identical in all frames. Positions, rotations and view-dependent colour move together, so a moved part looks as
-it would if the light moved with it.
+if the light moved with it.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ Columns: TypeAlias = dict[str, F32]
 KINDS = ("rigid", "bend", "colour", "appear", "mix")
 
 CLUSTERS = 24
-"""Patches that come and go, each at its own time."""
+"""Number of patches that appear and disappear, each at its own time."""
 
 
 @dataclass(frozen=True)
 class MotionOptions:
-    """What moves, how much and how fast."""
+    """Kind, size and speed of the motion."""
 
-    kind: str = setting("mix", "what happens", choices=KINDS)
+    kind: str = setting("mix", "kind of change", choices=KINDS)
     frames: int = setting(60, "number of frames", low=1, high=MAX_FRAMES)
-    fps: float = setting(DEFAULT_FPS, "frames a second", low=1.0, high=240.0)
-    share: float = setting(0.15, "share of the splats that ever change", low=0.0, high=1.0)
+    fps: float = setting(DEFAULT_FPS, "frames per second", low=1.0, high=240.0)
+    share: float = setting(0.15, "share of the splats that change", low=0.0, high=1.0)
     amount: float = setting(
         1.0, "size of the motion; 1 moves by about a fifth of the scene's radius", low=0.0, high=10.0
     )
@@ -48,7 +48,7 @@ class MotionOptions:
 
 
 class MotionScene:
-    """The first frame of ``base``, set in motion. Row numbers of the capture are the identities."""
+    """The first frame of ``base`` with added motion. Row numbers of the capture are the identities."""
 
     def __init__(self, base: FrameSource, options: MotionOptions) -> None:
         self._options = options
@@ -68,17 +68,17 @@ class MotionScene:
 
     @property
     def fps(self) -> float:
-        """Frames a second."""
+        """Frames per second."""
         return self._options.fps
 
     @property
     def up(self) -> Vec3:
-        """The capture's."""
+        """Up direction of the capture."""
         return self._up
 
     @property
     def focus(self) -> Focus:
-        """The capture's."""
+        """Focus of the capture."""
         return self._focus
 
     def __len__(self) -> int:
@@ -107,11 +107,11 @@ class MotionScene:
             turn = index / (self._options.fps * self._options.period_s)
             hidden = (self._phase + turn) % 1.0 < 0.5 * min(self._options.amount, 1.0)
             alive[self._parts["appear"]] = ~hidden[self._cluster]
-            alive[0] |= not alive.any()  # a frame without splats is none
+            alive[0] |= not alive.any()  # a frame needs at least one splat
         return np.flatnonzero(alive).astype(np.int32)
 
     def _move_rigidly(self, moved: Columns, rows: Rows, swing: float) -> None:
-        """Swing about the up axis through the part's centre, and rise and fall."""
+        """Rotate back and forth about the up axis through the part's centre, and move up and down."""
         up = np.asarray(self._up)
         pivot = self._rest.means[rows].astype(np.float64).mean(axis=0)
         turn = rotations.about(up, np.array(0.6 * self._options.amount * np.sin(swing)))
@@ -119,7 +119,7 @@ class MotionScene:
         _place(moved, rows, np.broadcast_to(turn, (len(rows), 4)), pivot, lift * up)
 
     def _bend(self, moved: Columns, rows: Rows, swing: float) -> None:
-        """Lean about a horizontal axis, more the higher a splat is, as a stalk in the wind."""
+        """Lean about a horizontal axis, more with height, like a stalk in the wind."""
         means = self._rest.means[rows].astype(np.float64)
         height = means @ np.asarray(self._up)
         foot = height.min()
@@ -131,7 +131,7 @@ class MotionScene:
 
 
 def _place(moved: Columns, rows: Rows, turns: F64, pivot: F64, shift: F64) -> None:
-    """Turn ``rows`` by ``turns`` [M, 4] about ``pivot`` [3] and shift them, in place."""
+    """Rotate ``rows`` by ``turns`` [M, 4] about ``pivot`` [3] and shift them, in place."""
     matrices = so3.matrices(turns)
     offsets = moved["means"][rows].astype(np.float64) - pivot
     moved["means"][rows] = (np.einsum("nij,nj->ni", matrices, offsets) + pivot + shift).astype(np.float32)
@@ -140,7 +140,7 @@ def _place(moved: Columns, rows: Rows, turns: F64, pivot: F64, shift: F64) -> No
 
 
 def _recolour(moved: Columns, rows: Rows, amount: float, swing: float) -> None:
-    """Turn hues about the grey axis, and lighten and darken, in place."""
+    """Rotate hues about the grey axis, lighten and darken, in place."""
     angle = 1.5 * min(amount, 2.0) * np.sin(swing)
     grey = np.full(3, 1 / np.sqrt(3.0))
     turn = so3.matrices(rotations.about(grey, np.array(angle)))
@@ -160,7 +160,7 @@ def _parts(
     parts: dict[str, Rows] = {}
     for kind in kinds:
         candidates = np.flatnonzero(free)
-        if kind == "bend":  # the highest things sway
+        if kind == "bend":  # the highest parts sway
             order = np.argsort(-(offsets[candidates] @ up), kind="stable")
         else:
             near = candidates[np.linalg.norm(offsets[candidates], axis=1) <= base.focus.radius]
@@ -172,7 +172,7 @@ def _parts(
 
 
 def _patches(rest: Splats, rows: Rows, rng: np.random.Generator) -> tuple[Rows, F64]:
-    """Patch of each of ``rows`` (nearest of a few random splats), and each patch's time offset in 0..1."""
+    """Patch of each of ``rows`` (the nearest of some random splats), and each patch's time offset in 0..1."""
     phases = rng.uniform(0, 1, CLUSTERS)
     if not len(rows):
         return rows, phases

@@ -1,4 +1,4 @@
-"""One spec string to one :class:`FrameSource`."""
+"""Opens the :class:`FrameSource` of a spec string."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ GENERATED = ("procedural", "fourd")
 
 
 def open_scene(spec: str) -> FrameSource:
-    """Open the scene that ``spec`` names.
+    """Open the scene named by ``spec``.
 
     - ``procedural[:size=..,frames=..,seed=..,fps=..]``: the embedded room;
-    - ``fourd[:splats=..,births=..,degree=..,frames=..,..]``: a generated clip as 4D models give them;
+    - ``fourd[:splats=..,births=..,degree=..,frames=..,..]``: a generated clip like those of 4D models;
     - ``PATH[:frames=..,fps=..,up=..]``: a file, a folder with an unbundled SOG, or a folder of numbered frames;
-    - ``motion:PATH[:kind=..,frames=..,share=..,...]``: the first frame of PATH, set in motion.
+    - ``motion:PATH[:kind=..,frames=..,share=..,...]``: the first frame of PATH with added motion.
 
-    Any of them takes ``shuffle=1`` and ``quantise=sog|spz`` as well.
+    Each also takes ``shuffle=1`` and ``quantise=sog|spz``.
 
     Raises :class:`SceneError` for scenes that cannot be read and :class:`ConfigError` for unknown options and values
     out of range.
     """
     head, options = split_options(spec)
     if head not in GENERATED and not head.startswith(MOTION) and spec and Path(spec).exists():
-        return open_files(Path(spec), FileOptions())  # an existing path wins over options, whatever characters it holds
+        return open_files(Path(spec), FileOptions())  # an existing path wins over options, whatever its name contains
     disguise = {f.name: options.pop(f.name) for f in fields(DisguiseOptions) if f.name in options}
     scene = _open(spec, head, options)
     chosen = parse_options(DisguiseOptions, spec, disguise)
@@ -49,7 +49,7 @@ def _open(spec: str, head: str, options: dict[str, str]) -> FrameSource:
     if head.startswith(MOTION):
         return _open_motion(spec, head.removeprefix(MOTION), options)
     if not head:
-        raise ConfigError(f"scene {spec!r} names nothing; give a file, a folder, or 'procedural'")
+        raise ConfigError(f"scene {spec!r} has no name; give a file, a folder, or 'procedural'")
     return open_files(Path(head), parse_options(FileOptions, spec, options))
 
 

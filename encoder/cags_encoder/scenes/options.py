@@ -18,13 +18,13 @@ else:
     S = TypeVar("S")
 
 EVERYWHERE = ("shuffle", "quantise")
-"""Options of all scenes, taken out before their own: :class:`cags_encoder.scenes.disguised.DisguiseOptions`."""
+"""Options of all scenes, removed before a scene's own: :class:`cags_encoder.scenes.disguised.DisguiseOptions`."""
 
 _OPTIONS = re.compile(r"\A(?P<head>.*?)(?::(?P<options>\w+=[^,:=]*(?:,\w+=[^,:=]*)*))?\Z", re.DOTALL)
 
 
 def split_options(spec: str) -> tuple[str, dict[str, str]]:
-    """Split ``head:key=value,key=value`` into head and options. Raises :class:`ConfigError` for a key given twice."""
+    """Split ``head:key=value,key=value`` into head and options. Raises :class:`ConfigError` for repeated keys."""
     match = _OPTIONS.match(spec)
     assert match is not None  # the pattern matches every string
     options: dict[str, str] = {}
@@ -54,8 +54,8 @@ def parse_options(cls: type[S], spec: str, options: dict[str, str]) -> S:
 
 
 def _convert(spec: str, key: str, text: str, hint: Any) -> Any:
-    arms = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
-    kind = next(arm for arm in arms if arm is not type(None))
+    members = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
+    kind = next(member for member in members if member is not type(None))
     try:
         return kind(text)
     except ValueError:

@@ -9,13 +9,13 @@ from cags_common.geometry import F32, F64
 
 
 def about(axis: F64, angles: F64) -> F64:
-    """Quaternions [..., 4] of turns by ``angles`` [...] radians about one unit ``axis`` [3] or many [..., 3]."""
+    """Quaternions [..., 4] of rotations by ``angles`` [...] radians about a unit ``axis`` [3] or [..., 3]."""
     half = np.asarray(angles)[..., None] / 2
     return np.concatenate([np.cos(half), np.sin(half) * axis], axis=-1)
 
 
 def of_frames(tangent: F64, bitangent: F64) -> F64:
-    """Quaternions [N, 4] whose x and y axes lie along ``tangent`` and (as far as it is perpendicular) ``bitangent``."""
+    """Quaternions [N, 4] with x axis along ``tangent`` and y axis along ``bitangent``, made perpendicular to it."""
     x = _unit(tangent)
     z = _unit(np.cross(x, bitangent))
     return of_matrices(np.stack([x, np.cross(z, x), z], axis=-1))
@@ -39,7 +39,7 @@ def of_matrices(rotations: F64) -> F64:
 
 
 def turned(quats: F32, by: F64) -> F32:
-    """Splat rotations ``quats`` [N, 4] turned by unit quaternions ``by`` [N, 4] or [4], unit with w >= 0."""
+    """Splat rotations ``quats`` [N, 4] rotated by unit quaternions ``by`` [N, 4] or [4]; unit with w >= 0."""
     out = so3.multiply(by, quats.astype(np.float64))
     out *= np.where(out[:, :1] < 0, -1.0, 1.0) / np.linalg.norm(out, axis=1, keepdims=True)
     return out.astype(np.float32)

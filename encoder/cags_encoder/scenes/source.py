@@ -1,4 +1,4 @@
-"""What the encoder reads: a sequence of Gaussian frames, and where in it there is something to look at."""
+"""The encoder's input: a sequence of Gaussian frames, and the region of interest in it."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from cags_common.geometry import F64, Vec3
 from cags_common.splats import Ids, Splats
 
 DEFAULT_FPS = 30.0
-"""Frame rate of sequences that do not name one."""
+"""Frame rate of sequences that do not record one."""
 
 MAX_FRAMES = 100_000
-"""Bound on the number of frames of a scene (55 minutes at 30 fps)."""
+"""Largest number of frames of a scene (55 minutes at 30 fps)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Focus:
-    """The thing that a viewer walks around: a ball in the scene's own frame.
+    """The object that a viewer walks around: a ball in the scene's frame.
 
-    A viewer who stays between 1 and 2.5 radii from the centre, on the scene's upper side, has a sensible view: outside
-    a captured object, inside a room.
+    Views between 1 and 2.5 radii from the centre, on the scene's upper side, are sensible: outside a captured object,
+    or inside a room.
     """
 
     centre: Vec3  # world units
@@ -39,30 +39,33 @@ class FrameSource(Protocol):
 
     @property
     def fps(self) -> float:
-        """Frames a second."""
+        """Frames per second."""
         ...
 
     @property
     def up(self) -> Vec3:
-        """Unit vector of the world's up direction. A hint: Gaussian files record none, most captures are y-down."""
+        """Unit vector of the up direction. A guess: Gaussian files do not record it, and most captures have y down."""
         ...
 
     @property
     def focus(self) -> Focus:
-        """Where walks are placed."""
+        """Centre and size of walks."""
         ...
 
     def __len__(self) -> int: ...
 
     def frame(self, index: int) -> Splats:
-        """Frame ``index`` in 0..len-1, checked (:meth:`Splats.checked`). Splats that do not change between two frames
-        are bit-identical in both. Raises :class:`SceneError` for a damaged frame and ``IndexError`` outside the range.
+        """Frame ``index`` in 0..len-1, checked (:meth:`Splats.checked`).
+
+        Splats that do not change between two frames are bit-identical in both. Raises :class:`SceneError` for damaged
+        frames and ``IndexError`` outside the range.
         """
         ...
 
     def ids(self, index: int) -> Ids | None:
-        """Persistent identity of each row of :meth:`frame`: equal ids in two frames are the same splat, and within one
-        frame ids are distinct and not negative. None where the source knows no identities.
+        """Persistent identity of each row of :meth:`frame`, or None if the source knows no identities.
+
+        Equal ids in two frames are the same splat. Within a frame ids are distinct and not negative.
         """
         ...
 
@@ -70,9 +73,9 @@ class FrameSource(Protocol):
 def focus_of(splats: Splats) -> Focus:
     """A robust ball around the bulk of ``splats``.
 
-    Splats count by their opacity. The centre is halfway between the first and the last tenth on each axis, the radius
-    holds four fifths of the splats: many splats are where there is detail to look at, and single floaters, plain ground
-    or a far background do not move it far.
+    Splats are weighted by opacity. On each axis, the centre is halfway between the first and the last decile; the
+    radius encloses four fifths of the weight. Regions of interest have many splats, so single floaters, plain ground or
+    a far background hardly move the ball.
     """
     logits = np.clip(splats.logit_opacities.astype(np.float64), -30.0, 30.0)
     weight = 1.0 / (1.0 + np.exp(-logits))

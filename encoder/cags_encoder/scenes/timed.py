@@ -1,4 +1,4 @@
-"""Scenes of native 4D files: frames sampled from splats that carry their own motion and lifetime."""
+"""Scenes from 4D files: frames sampled from splats with their own motion and lifetime."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from cags_encoder.scenes.file_options import FileOptions, up_of
 from cags_encoder.scenes.source import Focus, focus_of
 
 DEFAULT_DURATION_S = 50 / 30
-"""Length of a clip whose file does not say it: the 50 frames that SpaceTime Gaussians trains a model on."""
+"""Default length of a clip, which files do not record: the 50 frames that SpaceTime Gaussians trains a model on."""
 
 
 def is_timed(path: Path) -> bool:
-    """Whether a file holds splats over time; damaged headers are left to the parsers of other formats."""
+    """Whether a file holds splats over time. Damaged headers are left to the parsers of other formats."""
     if path.suffix.lower() == SUFFIX:
         return True
     if path.suffix.lower() != ".ply" or not path.is_file():
@@ -32,12 +32,12 @@ def is_timed(path: Path) -> bool:
         with path.open("rb") as file:
             head = file.read(MAX_HEADER_BYTES)
     except OSError:
-        return False  # as the damaged: whoever reads it says why it cannot
+        return False  # the parser that reads it next will report why
     return b"trbf_center" in head and is_spacetime_ply(parse_header(head, str(path)))
 
 
 class TimedScene:
-    """A 4D file at ``fps`` frames a second; row numbers of the file are identities. Raises :class:`SceneError`."""
+    """A 4D file sampled at ``fps`` frames per second; its row numbers are identities. Raises :class:`SceneError`."""
 
     def __init__(self, path: Path, options: FileOptions) -> None:
         self._path, self._options = path, options
@@ -57,24 +57,24 @@ class TimedScene:
 
     @property
     def fps(self) -> float:
-        """As the options say."""
+        """Frame rate given by the options."""
         return self._options.fps
 
     @property
     def up(self) -> Vec3:
-        """-Y unless the options say otherwise: these files come from COLMAP reconstructions."""
+        """The options' up direction, or -Y: these files come from COLMAP reconstructions."""
         return up_of(self._options, Y_DOWN)
 
     @property
     def focus(self) -> Focus:
-        """The bulk of the first frame, unless the options say otherwise."""
+        """The options' focus, or the bulk of the first frame."""
         return self._focus
 
     def __len__(self) -> int:
         return self._options.frames or max(1, round(self._duration_s * self._options.fps))
 
     def frame(self, index: int) -> Splats:
-        """The clip at ``index / fps`` seconds, from the start again beyond its end: the splats that can be seen."""
+        """The visible splats at ``index / fps`` seconds; the clip repeats after its end."""
         return self._timed.at(self._time(index), self._rows(index), f"{self._path}: frame {index}")
 
     def ids(self, index: int) -> Ids:
@@ -87,14 +87,14 @@ class TimedScene:
         return rows if len(rows) else self._timed.brightest(time)
 
     def _time(self, index: int) -> float:
-        """Share of the clip's length."""
+        """Time of frame ``index`` as a share of the clip's length."""
         if not 0 <= index < len(self):
             raise IndexError(index)
         frames = max(1, round(self._duration_s * self._options.fps))
         return (index % frames) / (self._options.fps * self._duration_s)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Workers read the file themselves."""
+        """Workers read the file again."""
         return {name: value for name, value in self.__dict__.items() if name != "_timed"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""How visible the difference between two versions of the same splats is."""
+"""The visible difference between two versions of the same splats."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from cags_common.splats import SH_C0, Splats
 
 
 def visible_effect(a: Splats, b: Splats) -> F64:
-    """Upper estimate [n] of the change of a pixel's colour (0..1) when splats ``a`` are drawn instead of ``b``.
+    """Upper estimate [n] of a pixel's change in colour (0..1) if splats ``a`` are drawn instead of ``b``.
 
-    A shift by a splat's own radius, a scaling by e, a turn by a radian of a long splat, or a full change of colour
-    count as one, weighed by opacity. An order of magnitude, meant for thresholds.
+    Each of these counts as one, weighted by opacity: a shift by a splat's mean radius, a scaling by e, a rotation of a
+    long splat by a radian, and a full change of colour. It is an order of magnitude, meant for thresholds.
     """
     opacity_a, opacity_b = drawn(a.logit_opacities), drawn(b.logit_opacities)
     shift, scaling, turn, colour, harmonics = _looks(a, b)
@@ -22,7 +22,7 @@ def visible_effect(a: Splats, b: Splats) -> F64:
 
 
 def attribute_effects(a: Splats, b: Splats) -> dict[str, F64]:
-    """What each attribute by itself adds to :func:`visible_effect` [n]."""
+    """Contribution [n] of each attribute to :func:`visible_effect`."""
     opacity_a, opacity_b = drawn(a.logit_opacities), drawn(b.logit_opacities)
     names = ("position", "scale", "rotation", "colour", "harmonics")
     parts = {name: np.maximum(opacity_a, opacity_b) * part for name, part in zip(names, _looks(a, b), strict=True)}
@@ -42,6 +42,6 @@ def _looks(a: Splats, b: Splats) -> tuple[F64, F64, F64, F64, F64]:
 
 
 def drawn(logits: F32) -> F64:
-    """Drawn opacities [n], 0 to 1, of their logits."""
+    """Opacities [n], 0 to 1, from their logits."""
     opacities: F64 = 1.0 / (1.0 + np.exp(-np.clip(logits.astype(np.float64), -30, 30)))
     return opacities

@@ -1,4 +1,4 @@
-"""Frames as their sources give them."""
+"""A frame and its identities as read from the source."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cags_common.splats import Ids, Splats
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """One frame as its source gives it."""
+    """One frame as read from the source."""
 
     splats: Splats  # [n]
-    known: Ids | None  # [n] the source's own identities
+    known: Ids | None  # [n] identities known to the source

@@ -1,4 +1,4 @@
-"""Splats by id: arrays of rows that grow."""
+"""Splats indexed by id, in arrays that grow."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from cags_common.splats import Ids, Splats
 
 
 def same_rows(a: Splats, b: Splats) -> NDArray[np.bool_]:
-    """Whether row i [n] of both has the same bits."""
+    """Whether row i [n] is bit-identical in both."""
     pairs = zip(a.arrays(), b.arrays(), strict=True)
     same: NDArray[np.bool_] = np.logical_and.reduce([same_bits(mine, other) for (_, mine), (_, other) in pairs])
     return same
 
 
 def same_bits(a: F32, b: F32) -> NDArray[np.bool_]:
-    """Whether row i [n] of both arrays [n, ...] has the same bits."""
+    """Whether row i [n] is bit-identical in both arrays [n, ...]."""
     columns = int(np.prod(a.shape[1:], dtype=int))
     bits = a.reshape(len(a), columns).view(np.uint32), b.reshape(len(b), columns).view(np.uint32)
     same: NDArray[np.bool_] = (bits[0] == bits[1]).all(axis=1)
@@ -27,7 +27,7 @@ def same_bits(a: F32, b: F32) -> NDArray[np.bool_]:
 
 
 def identical_rows(before: Splats, after: Splats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows of both frames whose splats are the same, bit by bit; the first of equals with the first."""
+    """Pairs of rows of both frames whose splats are bit-identical; duplicates are paired in order."""
     mine, theirs = _keys(before), _keys(after)
     by_mine, by_theirs = np.argsort(mine, kind="stable"), np.argsort(theirs, kind="stable")
     mine, theirs = mine[by_mine], theirs[by_theirs]
@@ -40,7 +40,7 @@ def identical_rows(before: Splats, after: Splats) -> tuple[NDArray[np.intp], NDA
 
 
 def _keys(splats: Splats) -> NDArray[np.uint64]:
-    """A 64-bit mix of each splat's bits, but for its harmonics'."""
+    """64-bit hash of each splat's bits, without harmonics."""
     keys = np.zeros(len(splats), np.uint64)
     for name, array in splats.arrays():
         if name == "sh_rest":
@@ -52,7 +52,7 @@ def _keys(splats: Splats) -> NDArray[np.uint64]:
 
 
 class SplatTable:
-    """Rows of splats by id, and which ids are alive."""
+    """Splats indexed by id, and which ids are alive."""
 
     def __init__(self, first: Splats) -> None:
         self._arrays = {name: array.copy() for name, array in first.arrays()}
@@ -60,15 +60,15 @@ class SplatTable:
 
     @property
     def capacity(self) -> int:
-        """One more than the largest id."""
+        """The largest id plus one."""
         return len(self.alive)
 
     def take(self, ids: Ids) -> Splats:
-        """Rows of ``ids``."""
+        """The splats with the given ``ids``."""
         return Splats(**{name: array[ids] for name, array in self._arrays.items()})
 
     def put(self, ids: Ids, splats: Splats) -> None:
-        """Replace or add the rows of ``ids`` and make them alive."""
+        """Set the splats of ``ids`` and mark them as alive."""
         top = int(ids.max(initial=-1)) + 1
         if top > self.capacity:
             self._grow(top)
@@ -84,7 +84,7 @@ class SplatTable:
         return out
 
     def differs(self, ids: Ids, splats: Splats, columns: Sequence[str]) -> NDArray[np.bool_]:
-        """Whether any bit of ``columns`` of row ``ids[i]`` is not that of ``splats[i]``; ids that are beyond do."""
+        """Whether splat ``ids[i]`` differs from ``splats[i]`` in any bit of ``columns``; true for unknown ids."""
         out = np.ones(len(ids), bool)
         known = ids < self.capacity
         arrays = dict(splats.arrays())

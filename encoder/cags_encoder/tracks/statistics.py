@@ -1,4 +1,4 @@
-"""What the tracks of a clip are like: how many splats continue, for how long, and what of them changes."""
+"""Statistics of a clip's tracks: how many splats continue, for how long, and which attributes change."""
 
 from __future__ import annotations
 
@@ -13,23 +13,25 @@ from cags_common.splats import Splats
 from cags_encoder.tracks.effect import attribute_effects
 
 VISIBLE = 0.01
-"""Share of a pixel's colour that a change must make to count (:class:`ChangedShares` says so)."""
+"""Smallest change that counts, as a share of a pixel's colour (documented in :class:`ChangedShares`)."""
 
 SAMPLE = 4096
-"""Splats of a frame by which changes are judged."""
+"""Number of splats of a frame that are examined for changes."""
 
 
 class TrackCounter:
-    """Counts as frames come, in order. Memory is that of one frame's rows."""
+    """Counts frames as they come, in order. It keeps one frame's rows in memory."""
 
     def __init__(self) -> None:
         self._frames = self._tracks = self._seen = self._linked = self._judged = 0
-        self._ages: NDArray[np.int64] = np.zeros(0, np.int64)  # of the last frame's splats: frames seen
-        self._ended: NDArray[np.int64] = np.zeros(0, np.int64)  # by the logarithm of the frames seen
+        self._ages: NDArray[np.int64] = np.zeros(0, np.int64)  # age of the last frame's splats: number of frames seen
+        self._ended: NDArray[np.int64] = np.zeros(
+            0, np.int64
+        )  # histogram of ended tracks by the logarithm of their age
         self._changed = {field.name: 0 for field in fields(ChangedShares)}
 
     def add(self, before: Splats | None, after: Splats, rows: NDArray[np.intp]) -> None:
-        """The next frame: ``after`` [n] continues ``rows`` [n] of ``before``, or none (-1)."""
+        """Add the next frame: row i of ``after`` [n] continues row ``rows[i]`` of ``before``, or none (-1)."""
         found = rows >= 0
         lost = np.ones(len(self._ages), bool)
         lost[rows[found]] = False
@@ -65,7 +67,7 @@ class TrackCounter:
 
 
 def _bins(ages: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Counts by the whole part of the binary logarithm."""
+    """Histogram by the integer part of the binary logarithm."""
     powers: F64 = np.frexp(ages.astype(np.float64))[1] - 1.0
     return np.bincount(powers.astype(np.int64)).astype(np.int64)
 

@@ -27,14 +27,24 @@ from cags_protocol.wire.messages import SeqRange
 REORDER_PACKETS = 64
 """A packet is lost when one sent so many later is acknowledged: it was damaged, and the client dropped it."""
 
-MIN_WINDOW_BYTES = 2 * limits.PACKET_BYTES
+PACKET_US, LEAST_PACKET_BYTES = 40_000, 1_448
+"""A packet fills at most so much of the link's time, and is not smaller than a TCP segment. Nothing overtakes a packet
+that is on its way: on a link of 200 kbit/s one of the largest size takes a third of a second.
+"""
+
+MIN_WINDOW_PACKETS = 2
 """Least credit: one packet on the wire, one to follow it."""
+
+RESERVE_PACKETS = 2
+"""Credit that only reference pictures may use, so that they never wait for tiles to be acknowledged."""
 
 OWN_QUEUES = 3.0
 """Connections of this kind hold at most so many times the queue that the credit window allows; probing adds to it."""
 
 SLOW_BPS = 300e3
-"""On a slower link the least credit alone makes a queue of 0.4 s, so no queue is taken for another flow's."""
+"""On a slower link packets that were sent while it was thought faster make a long queue, so that none is taken for
+another flow's.
+"""
 
 PACING_GAIN = 1.5
 """Packets leave at most so many times as fast as the link is thought to be: credit that comes at once is spread out,
@@ -108,20 +118,33 @@ class FlowControl:
         trips = self.round_trips
         if self.stance is Stance.GIVE_WAY:
             return self._bytes_in(self._window_us + trips.shortest_us + trips.jitter_as_read_us)
-        return limits.PACKET_BYTES + self._bytes_in(self._window_us + trips.newest_us + trips.jitter_as_read_us)
+        return self.packet_bytes + self._bytes_in(self._window_us + trips.newest_us + trips.jitter_as_read_us)
+
+    @property
+    def packet_bytes(self) -> int:
+        """Size of the largest packet to send now."""
+        return min(max(int(self.rate_bps * PACKET_US / 8e6), LEAST_PACKET_BYTES), limits.PACKET_BYTES)
+
+    @property
+    def _min_window_bytes(self) -> int:
+        return MIN_WINDOW_PACKETS * self.packet_bytes
 
     def _own_queue_us(self) -> tuple[float, float]:
         """The longest queue that connections of this kind usually make, and what the least credit may add to it."""
         if self.rate_bps < SLOW_BPS:
             return inf, 0.0
-        return OWN_QUEUES * self._window_us + self.round_trips.jitter_as_read_us, MIN_WINDOW_BYTES * 8e6 / self.rate_bps
+        return (
+            OWN_QUEUES * self._window_us + self.round_trips.jitter_as_read_us,
+            self._min_window_bytes * 8e6 / self.rate_bps,
+        )
 
     def _bytes_in(self, time_us: float) -> int:
-        return max(MIN_WINDOW_BYTES, int(self.rate_bps * time_us / 8e6))
+        return max(self._min_window_bytes, int(self.rate_bps * time_us / 8e6))
 
-    def has_credit(self, extra_bytes: int = 0) -> bool:
-        """Whether another packet may be sent now; ``extra_bytes`` widens the window."""
-        return self.in_flight_bytes + limits.PACKET_BYTES <= self.window_bytes + extra_bytes
+    def has_credit(self, *, reference: bool = False) -> bool:
+        """Whether another packet may be sent now, for a ``reference`` from its reserve, too."""
+        reserve_bytes = RESERVE_PACKETS * self.packet_bytes if reference else 0
+        return self.in_flight_bytes + self.packet_bytes <= self.window_bytes + reserve_bytes
 
     @property
     def paced_until_us(self) -> int:

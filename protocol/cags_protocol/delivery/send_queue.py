@@ -20,6 +20,7 @@ FRAGMENT_HEADER_BYTES = 96
 """Room left in a packet for the header of a :class:`Fragment`; its fields at their widest take 91 bytes."""
 
 CHUNK_BYTES = limits.PACKET_BYTES - FRAGMENT_HEADER_BYTES
+"""Bytes of a message in a packet of the largest size."""
 
 SLACK_ENTRIES = 64
 """Entries that have left and may stay in the heaps of a queue, besides as many as there are messages in it."""
@@ -63,13 +64,13 @@ class Entry:
         """Whether this is a reference picture, or a mark for one."""
         return self.rank[0] == REFERENCES
 
-    def chunk(self) -> bytes | memoryview:
-        """The bytes of the next fragment."""
+    def chunk(self, most_bytes: int) -> bytes | memoryview:
+        """The bytes of the next fragment, at most so many."""
         start = self.sent - len(self.head)
         if start >= 0:
-            return self.body[start : start + CHUNK_BYTES]
-        head = self.head[self.sent : self.sent + CHUNK_BYTES]
-        return head + self.body[: CHUNK_BYTES - len(head)]
+            return self.body[start : start + most_bytes]
+        head = self.head[self.sent : self.sent + most_bytes]
+        return head + self.body[: most_bytes - len(head)]
 
 
 OnDrop = Callable[[Entry, str], None]
@@ -149,14 +150,16 @@ class SendQueue:
             return best
         return min((e for e in self._entries.values() if e.started), key=lambda e: e.rank)
 
-    def take_fragment(self, entry: Entry, seq: int) -> bytes:
-        """The next packet of ``entry``, numbered ``seq``. A finished entry leaves the queue."""
+    def take_fragment(self, entry: Entry, seq: int, packet_bytes: int = limits.PACKET_BYTES) -> bytes:
+        """The next packet of ``entry``, numbered ``seq``, of at most ``packet_bytes``. A finished entry leaves the
+        queue.
+        """
         if not entry.started:
             # Among equals a message half sent goes on first, so that few are half received at any time.
             entry.rank = (entry.rank[0], entry.rank[1], -1)
             heapq.heappush(self._heap, (entry.rank, entry.ident))
             self._started += 1
-        chunk = entry.chunk()
+        chunk = entry.chunk(packet_bytes - FRAGMENT_HEADER_BYTES)
         packet = encode(Fragment(seq, entry.ident, entry.sent, entry.size if len(chunk) < entry.size else 0), chunk)
         entry.sent += len(chunk)
         entry.unacked.add(seq)

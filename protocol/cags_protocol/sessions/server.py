@@ -27,9 +27,6 @@ from cags_protocol.wire.messages import (
     Welcome,
 )
 
-REFERENCE_RESERVE_BYTES = 2 * limits.PACKET_BYTES
-"""Credit that only reference pictures may use, so that they never wait for tiles to be acknowledged."""
-
 PACING_STEP_US = 5_000
 """Packets that wait for their time alone leave in steps of this: a timer for each would cost more than it brings."""
 
@@ -163,12 +160,12 @@ class ServerSession(Session[ev.ServerEvent]):
             if self._flow.has_credit():
                 self._flow.on_idle()
             return None
-        if not self._flow.has_credit(REFERENCE_RESERVE_BYTES if entry.is_reference else 0):
+        if not self._flow.has_credit(reference=entry.is_reference):
             return None
         if not entry.is_reference and now_us < self._flow.paced_until_us:
             self._next_packet_us = max(self._flow.paced_until_us, now_us + PACING_STEP_US)
             return None
-        packet = self._queue.take_fragment(entry, self._flow.next_seq)
+        packet = self._queue.take_fragment(entry, self._flow.next_seq, self._flow.packet_bytes)
         if self._trace is not None:
             self._trace.sent(now_us, self._flow.next_seq, entry, len(packet), self._flow)
         self._flow.on_sent(entry, len(packet), now_us)

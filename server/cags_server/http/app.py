@@ -18,6 +18,7 @@ from aiohttp.typedefs import Handler, Middleware
 from cags_common.errors import CagsError, NetworkError, OutputError
 from cags_common.runtime.rare_log import RareLog
 from cags_common.transport.accepting import listen_on
+from cags_common.transport.base import ConnectionEndedError
 from cags_common.transport.hosts import named
 from cags_common.transport.websocket import ServerWebSocket
 from cags_protocol import SUBPROTOCOL, ServerSessionSettings, SessionTimers
@@ -41,7 +42,7 @@ from cags_server.http.gallery.scenes import add_scenes
 from cags_server.http.gallery.uploads import Uploads
 from cags_server.http.memory import FreedMemory
 from cags_server.http.page import add_page
-from cags_server.http.status import SessionBook, page
+from cags_server.http.status import SessionBook, page, why_ended
 from cags_server.http.waiting_list import WaitingList
 from cags_server.records import StreamStats, Totals, write_session
 from cags_server.reference.render_pool import RenderPool
@@ -56,6 +57,9 @@ log = logging.getLogger(__name__)
 
 MOST_BY_MEASURE = 256
 """Descriptors are kept for so many clients where their number is measured."""
+
+GONE_BEFORE = 499
+"""Status of an answer that nobody is there for any more, as nginx has it."""
 
 DEFAULT_FPS = 30.0
 """Of a server that has no scene yet."""
@@ -79,7 +83,7 @@ class App:
         self._executor = RenderPool(settings.workers, self._served)
         self._uploads = Uploads(scenes, settings, self._streams) if settings.accept_uploads else None
         self._ended = Totals()
-        self._memory, self._book = FreedMemory(), SessionBook()
+        self._memory, self._book = FreedMemory(lambda: self._clients), SessionBook()
         self._draining = False
         if not scenes.several:
             self._executor.submit(scenes.library(None).warm)
@@ -199,7 +203,7 @@ class App:
             return refusal
         from cags_server.http.metrics import exposition  # with all of Prometheus' client: once somebody asks
 
-        page = exposition(self._ended, (stats for _, stats in self.sessions()))
+        page = exposition(self._ended, (stats for _, stats in self.sessions()), tasks=len(asyncio.all_tasks()))
         return web.Response(text=page, headers={"Content-Type": "text/plain; version=0.0.4; charset=utf-8"})
 
     async def _stream(self, request: web.Request) -> web.StreamResponse:
@@ -217,9 +221,12 @@ class App:
         vouched = bool(self._settings.token) and header_allowed(self._settings.token, header)
         if not vouched and not await self._turns.take():
             return web.json_response({"error": "too many ask at once; try again later"}, status=503)
-        transport = await ServerWebSocket.accept(
-            request, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_CLIENT_MESSAGE_BYTES
-        )
+        try:
+            transport = await ServerWebSocket.accept(
+                request, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_CLIENT_MESSAGE_BYTES
+            )
+        except ConnectionEndedError:
+            return web.Response(status=GONE_BEFORE)
         self._streams(request)
         name = f"s{next(self._names)}"
         events = EventFile(Path(self._settings.event_traces), name) if self._settings.event_traces else None
@@ -304,13 +311,17 @@ class App:
         if not self._clients:
             self._empty.set()
         ending = connection.ending
-        why = f"{ending.code}: {ending.reason}" if ending else "lost"
-        self._book.ended(name, connection.stats, ending)
-        if not let_in:
+        why, stats = why_ended(ending), connection.stats
+        status = self._book.ended(name, stats, ending)
+        if not let_in or status is None:
             self._turned_away.write(logging.INFO, peer, "%s: not let in, from %s (%s)", name, peer, why)
             return
-        self._ended.add(connection.stats)
-        self._told.write(logging.INFO, peer, "%s: left (%s)", name, why)
+        self._ended.add(stats)
+        shown = status.in_time + status.late
+        self._told.write(
+            logging.INFO, peer, "%s: left (%s) after %.0f s, %d of %d frames in time, %d stalls, short of %s",
+            name, why, status.seconds, status.in_time, shown, status.stalls, status.short_of,
+        )  # fmt: skip
         if self._settings.session_logs:
             try:
                 write_session(Path(self._settings.session_logs), name, connection.stats, ending)

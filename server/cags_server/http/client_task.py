@@ -19,6 +19,7 @@ from cags_common.runtime.tasks import watched
 from cags_common.runtime.wake import woken
 from cags_common.transport.base import ConnectionEndedError, Transport
 from cags_protocol.wire.messages import RefusalCode
+from cags_server.http.shortage import ShortageLog
 from cags_server.reference.job import FrameJob
 from cags_server.session.connection import Connection
 from cags_server.session.quota import ReadingShare
@@ -65,6 +66,7 @@ class ClientTask:
         self._work = set[asyncio.Task[None]]()  # jobs and reads, off the loop
         self._parts: list[asyncio.Task[None]] = []
         self._failing_since_s: float | None = None
+        self._shortage = ShortageLog(log, connection.name, time.monotonic)
 
     async def run(self) -> None:
         """Serve until the client or the server leaves."""
@@ -155,6 +157,7 @@ class ClientTask:
             timer = self._connection.next_timer_us()
             if timer is not None and timer <= now:
                 self._connection.handle_timer(now)
+                self._shortage.look(self._connection.stats)
                 self._to_send.set()
             frame = self._connection.next_fetch()
             if frame is not None:

@@ -24,7 +24,9 @@ M_ARENA_MAX, ARENAS = -8, 2
 class FreedMemory:
     """Gives memory back once sessions have ended, seldom enough to cost nothing."""
 
-    def __init__(self) -> None:
+    def __init__(self, watched: Callable[[], object]) -> None:
+        """``watched()``: whether anybody would wait for a long collection."""
+        self._watched = watched
         self._timer: asyncio.TimerHandle | None = None
         self._last_s = float("-inf")
         self._trim = _trimmer()
@@ -43,7 +45,8 @@ class FreedMemory:
 
     def _give_back(self, loop: asyncio.AbstractEventLoop) -> None:
         self._timer, self._last_s = None, loop.time()
-        gc.collect(1)  # transports of asyncio are cycles of their own
+        # Transports of asyncio are cycles of their own; those of sessions that lasted are in the oldest generation.
+        gc.collect(1 if self._watched() else 2)
         loop.run_in_executor(None, self._trim)
 
 

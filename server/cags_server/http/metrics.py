@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
-from prometheus_client import CollectorRegistry, Metric, ProcessCollector, generate_latest
+from prometheus_client import CollectorRegistry, Gauge, Metric, ProcessCollector, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, SummaryMetricFamily
 from prometheus_client.registry import Collector
 
+from cags_server.http.shortage import RESOURCES, shortage
 from cags_server.records import StreamStats, Totals
 
 
-def exposition(ended: Totals, live: Iterable[StreamStats]) -> str:
-    """The metrics page in Prometheus' text format: sessions that have ended, those that go on, and the process."""
+def exposition(ended: Totals, live: Iterable[StreamStats], *, tasks: int = 0) -> str:
+    """The metrics page in Prometheus' text format: sessions that have ended, those that go on, and the process, whose
+    event loop has ``tasks``.
+    """
     registry = CollectorRegistry()
     registry.register(_Sessions(ended, tuple(live)))
+    Gauge("cags_tasks", "Tasks of the event loop.", registry=registry).set(tasks)
     ProcessCollector(registry=registry)
     return generate_latest(registry).decode()
 
@@ -29,18 +33,31 @@ class _Sessions(Collector):
         """One family after the other."""
         live, sums, count = self._live, self._sums, max(len(self._live), 1)
         yield GaugeMetricFamily("cags_sessions", "Clients connected now.", len(live))
+        short = GaugeMetricFamily("cags_sessions_short", "Clients short of a resource.", labels=("of",))
+        of = [shortage(stats).of for stats in live]
+        for resource in RESOURCES:
+            short.add_metric((resource,), of.count(resource))
+        yield short
         yield CounterMetricFamily("cags_sessions_total", "Clients that ever joined.", sums.sessions)
         yield CounterMetricFamily("cags_frames_total", "Frames planned.", sums.frames)
-        yield CounterMetricFamily("cags_frames_late_total", "Frames skipped or rendered too late.", sums.frames_late)
+        for name, what, total in (
+            ("frames_skipped", "Frames that were due and never planned.", sums.frames_skipped),
+            ("frames_in_time", "Played frames whose data the client had at their display.", sums.frames_in_time),
+            ("frames_late", "Played frames whose data came after their display.", sums.frames_late),
+            ("stalls", "Runs of such frames.", sums.stalls),
+            ("references_late", "Reference pictures that came too late, or never.", sums.references_late),
+        ):
+            yield CounterMetricFamily(f"cags_{name}_total", what, total)
         sent = CounterMetricFamily(
             "cags_sent_bytes_total", "Payload bytes handed to sessions, by kind.", labels=("kind",)
         )
         for kind in ("tiles", "reference", "other"):
             sent.add_metric((kind,), getattr(sums, f"bytes_{kind}"))
         yield sent
-        for name, total_ns in (("render", sums.render_ns), ("encode", sums.encode_ns)):
+        costs = sums.careful + sums.light
+        for name, total_ns in (("render", costs.render_ns), ("encode", costs.encode_ns)):
             yield SummaryMetricFamily(
-                f"cags_{name}_seconds", f"Time to {name} reference pictures.", sums.frames, total_ns / 1e9
+                f"cags_{name}_seconds", f"Time to {name} reference pictures.", costs.references, total_ns / 1e9
             )
         rate = sum(stats.bandwidth_bps for stats in live) / count
         yield GaugeMetricFamily("cags_bandwidth_estimate_bps", "Mean bandwidth estimate of the clients.", rate)

@@ -11,18 +11,11 @@ from itertools import islice
 from typing import Any
 
 from cags_protocol.events import Closed
+from cags_server.http.shortage import RECENT_FRAMES, shortage
 from cags_server.records import StreamStats
 
 KEPT_ENDED = 50
 """Ended sessions that the page remembers."""
-
-RECENT_FRAMES = 60
-"""Frames that tell what a session is short of."""
-
-MANY_LATE, FULL_BUDGET = 0.25, 0.8
-"""Share of frames whose reference was late or found no place, and of the byte budget that is spent, from which on the
-renderer or the link is short.
-"""
 
 
 @dataclass(frozen=True)
@@ -38,18 +31,37 @@ class SessionStatus:
     """The link's estimate."""
     sent_mb: float
     rtt_ms: float
+    level: float
+    """Levels of detail that it holds of what it sees, of late."""
+    levels: int
+    """Of the scene."""
     frames: int
     """Planned for it."""
     skipped: int
+    in_time: int
+    """Played frames whose data it had at their display."""
+    late: int
+    """And those whose data came later."""
+    stalls: int
+    """Runs of late ones."""
     references_late: int
     mirror_mb: float
     """Memory of the server's copy of what the client shows."""
     upgrades: float
     """Tiles raised by a level a frame, of late."""
     short_of: str
-    """``renderer``, ``link`` or ``nothing``."""
+    """``processor``, ``renderer``, ``link`` or ``nothing``."""
+    shortage: str
+    """The same as a sentence, with how short."""
     ended: str = ""
     """Why; empty while it goes on."""
+
+
+def why_ended(ending: Closed | None) -> str:
+    """The end of a session in words; None: its task was cut short."""
+    if ending is None:
+        return "lost"
+    return f"{ending.code}: {ending.reason}" if ending.reason else ending.code
 
 
 class SessionBook:
@@ -67,8 +79,7 @@ class SessionBook:
         """A client has left; what is remembered of it."""
         if name not in self._began:
             return None
-        why = "lost" if ending is None else f"{ending.code}: {ending.reason}"
-        status = self._status(name, stats, why)
+        status = self._status(name, stats, why_ended(ending))
         del self._began[name]
         self._ended.appendleft(status)
         return status
@@ -80,7 +91,7 @@ class SessionBook:
 
     def _status(self, name: str, stats: StreamStats, ended: str = "") -> SessionStatus:
         peer, wall_s, began_s = self._began[name]
-        recent = list(islice(reversed(stats.records), RECENT_FRAMES))
+        recent, short = list(islice(reversed(stats.records), RECENT_FRAMES)), shortage(stats)
         sent = stats.bytes_tiles + stats.bytes_reference + stats.bytes_other
         return SessionStatus(
             session=name,
@@ -90,26 +101,20 @@ class SessionBook:
             rate_mbps=round(stats.bandwidth_bps / 1e6, 2),
             sent_mb=round(sent / 1e6, 3),
             rtt_ms=round(stats.rtt_us / 1e3, 1),
+            level=round(sum(record.level for record in recent) / max(len(recent), 1), 1),
+            levels=stats.levels,
             frames=stats.frames,
             skipped=stats.frames_skipped,
+            in_time=stats.frames_in_time,
+            late=stats.frames_late,
+            stalls=stats.stalls,
             references_late=stats.references_late,
             mirror_mb=round(stats.mirror_bytes / 1e6, 1),
             upgrades=round(sum(record.upgrades for record in recent) / max(len(recent), 1), 1),
-            short_of=short_of(stats),
+            short_of=short.of,
+            shortage=str(short),
             ended=ended,
         )
-
-
-def short_of(stats: StreamStats) -> str:
-    """What keeps a session from more, by its last frames: the renderer, the link, or nothing."""
-    recent = list(islice(reversed(stats.records), RECENT_FRAMES))
-    if not recent:
-        return "nothing"
-    if sum(record.reference_late or record.no_place for record in recent) > MANY_LATE * len(recent):
-        return "renderer"
-    budget = sum(max(record.budget_bytes, 0) for record in recent)
-    spent = sum(record.tile_bytes for record in recent)
-    return "link" if spent and spent >= FULL_BUDGET * budget else "nothing"
 
 
 COLUMNS = {
@@ -120,11 +125,15 @@ COLUMNS = {
     "rate_mbps": "link, Mbps",
     "sent_mb": "sent, MB",
     "rtt_ms": "round trip, ms",
-    "frames": "frames",
+    "level": "level",
+    "frames": "frames planned",
     "skipped": "skipped",
+    "in_time": "in time",
+    "late": "late",
+    "stalls": "stalls",
     "references_late": "references late",
     "mirror_mb": "mirror, MB",
-    "short_of": "short of",
+    "shortage": "short of",
     "ended": "ended",
 }
 
@@ -151,5 +160,6 @@ def page(report: dict[str, Any], title: str) -> str:
 def _table(rows: list[dict[str, Any]]) -> str:
     names = [name for name in COLUMNS if name != "ended" or any(row["ended"] for row in rows)]
     head = "".join(f"<th>{escape(COLUMNS[name])}</th>" for name in names)
-    lines = ("".join(f"<td>{escape(str(row[name]))}</td>" for name in names) for row in rows)
+    shown = ({**row, "level": f"{row['level']} of {row['levels']}"} for row in rows)
+    lines = ("".join(f"<td>{escape(str(row[name]))}</td>" for name in names) for row in shown)
     return f"<table><tr>{head}</tr>" + "".join(f"<tr>{line}</tr>" for line in lines) + "</table>"

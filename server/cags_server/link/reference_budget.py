@@ -12,6 +12,10 @@ BURST_S = 0.25
 """Seconds of the share that may be spent at once."""
 
 
+REFERENCE_OVERHEAD_BYTES = 400
+"""Approximate size of the headers of a reference, of its mark, and of the packets of both."""
+
+
 class ReferenceBudget:
     """Account of one client's references: a share of the link comes in, what they weigh goes out. It may be in debt."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -47,6 +48,13 @@ class TileView:
     def complete(self) -> bool:
         """Whether the client has all of it."""
         return self.depth >= self.max_depth
+
+
+def mean_level(views: Sequence[TileView]) -> float:
+    """Levels that the client holds of the looks among ``views``, weighted by their share of the picture; 0 for none."""
+    looks = [view for view in views if view.kind == TileKind.LOOKS]
+    whole = sum(view.weight for view in looks)
+    return sum(view.weight * view.depth for view in looks) / whole if whole else 0.0
 
 
 UNBOUNDED_BYTES = 1 << 40

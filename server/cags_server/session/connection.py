@@ -280,9 +280,10 @@ class Connection:
             self._queue(streamer.startup(now_us), now_us)
 
     def _recall(self, streamer: Streamer, now_us: int) -> None:
-        """Take back tiles that waited past the frame that they were chosen for, before the next ones are chosen."""
+        """Take back what waited past the frame that it was made for, before the next tiles are chosen."""
         self.session.cancel(lambda each: streamer.outdated(each, now_us), now_us=now_us, started=False)
         self._settle(now_us)
+        self._queue(streamer.take_late_ends(now_us), now_us)
 
     def _queue_marks(self, streamer: Streamer, now_us: int) -> None:
         for mark in streamer.take_marks():

@@ -8,6 +8,7 @@ Pure: no clock, no socket, no task. The owner passes ``now_us`` (server clock), 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 from cags_common.geometry import Camera, Pose
 from cags_common.tiles.inventory import InventoryEntry
@@ -27,9 +28,11 @@ from cags_server.fov import widened
 from cags_server.link import LinkState
 from cags_server.link.byte_budget import MESSAGE_OVERHEAD_BYTES, ByteBudget
 from cags_server.link.pace import MARGIN_US
-from cags_server.link.reference_budget import ReferenceBudget
+from cags_server.link.reference_budget import REFERENCE_OVERHEAD_BYTES, ReferenceBudget
 from cags_server.ratecontrol import Decision, Observation, create_rate_policy
+from cags_server.ratecontrol.base import mean_level
 from cags_server.ratecontrol.outlook import lacking_bytes
+from cags_server.ratecontrol.priorities import BLOB_PRIORITY
 from cags_server.records import Ahead, FrameRecord, ReferenceCosts, StreamStats
 from cags_server.reference.coder import ReferenceCoder
 from cags_server.reference.job import FrameJob, FramePlan, FrameRender
@@ -38,6 +41,7 @@ from cags_server.reference.video import ReferenceVideo
 from cags_server.reference.worth import Worth
 from cags_server.scene.library import SceneLibrary
 from cags_server.scene.visible_tiles import VisibleTile
+from cags_server.session.arrivals import FrameArrivals
 from cags_server.session.schedule import Schedule
 from cags_server.session.startup import Startup
 from cags_server.session.tile_sender import TileSender
@@ -82,7 +86,7 @@ class Streamer:
         """``may_render(now_us)`` says whether the renderer has a slot for this client when a reference is due.
         ``lightly()`` says whether references should save processor time.
         """
-        self.stats = StreamStats()
+        self.stats = StreamStats(levels=library.manifest.lods)
         self.lacking: float | None = None
         """Mean squared error, RGB in [0, 1], of the client's picture at the newest reference; None if unknown."""
         self._library, self._settings, self._hello = library, settings, hello
@@ -101,10 +105,13 @@ class Streamer:
         self._reference_budget = ReferenceBudget(link, settings.reference_most)
         self._worth = Worth()
         self._visibility = Visibility(library, settings.visible_px)
+        self._arrivals = FrameArrivals(self.stats)
         self._rests_until_us = 0  # the renderer, after a job that took long
         self._render_plan: FramePlan | None = None  # the newest
         self._went_ahead: FrameRecord | None = None  # what was sent for the pending render
         self._marks: list[ev.Outgoing] = []
+        self._ends_due_us: dict[int, int] = {}  # media frame whose end is queued: its display, client clock
+        self._late_ends: list[ev.Outgoing] = []  # taken back
         self._joined_us = self._marked_us = 0
         self._greeting_due_us: int | None = None  # of the first picture, before the viewer starts playback
         self._damaged = False  # a sent message did not arrive completely
@@ -184,6 +191,8 @@ class Streamer:
                 self.stats.bytes_dropped += sent_bytes
                 self._on_settled(outgoing, delivered=False)
                 self._damaged |= reason == "lost" and isinstance(outgoing.message, TileLayers | FrameEnd)
+                if reason == "cancelled" and self._ends_late(outgoing, now_us):
+                    self._late_ends.append(outgoing)
             case ev.Evicted(tiles):
                 for held in tiles:
                     self._tiles.evicted(held)
@@ -192,6 +201,8 @@ class Streamer:
 
     def _on_sent(self, outgoing: ev.Outgoing, now_us: int) -> None:
         """A message was written completely."""
+        if isinstance(outgoing.message, FrameEnd):
+            self._ends_due_us.pop(outgoing.message.frame, None)
         if isinstance(outgoing.message, TileLayers | FrameEnd):
             if self._coder.compares:
                 self._mirror.sent(outgoing.message, outgoing.payload)
@@ -200,7 +211,10 @@ class Streamer:
 
     def _on_control(self, control: Control, now_us: int) -> None:
         self._schedule.controlled(control, now_us)
+        self._arrivals.forget()
         self._went_ahead = None
+        self._ends_due_us.clear()
+        self._late_ends.clear()
         self._tiles.client_keeps = control.keeps
         if control.action == "seek":
             self._tiles.go_back(control.frame)
@@ -238,9 +252,11 @@ class Streamer:
             self._video.dropped(message)
 
     def _on_arrived(self, outgoing: ev.Outgoing, now_us: int) -> None:
-        """Tell the pace how late a reference was. The acknowledgement took the way up, and so did the poses that the
-        client's clock is known by: the two delays cancel.
+        """Tell the pace how late a reference was, and count the frames that were in time. The acknowledgement took the
+        way up, and so did the poses that the client's clock is known by: the two delays cancel.
         """
+        if isinstance(outgoing.message, FrameEnd):
+            self._arrivals.arrived(outgoing.message.frame, self._viewer.clock.to_client(now_us))
         if not (isinstance(outgoing.message, ReferenceFrame) and self._schedule.timeline.playing):
             return
         if outgoing.deadline_us is not None:
@@ -346,7 +362,8 @@ class Streamer:
         if self._schedule.is_out(tick):
             self._went_ahead = record  # of the pending render, whose reference is not late yet
         else:
-            record.reference_late, record.no_place = not between, between and self._no_place
+            record.reference_late = not between
+            record.no_place = between and (self._no_place or self._given_up)
             self.stats.references_late += record.reference_late
         ahead = plan.ahead.frame
         self._enter(ahead, now_us)
@@ -389,6 +406,11 @@ class Streamer:
         if not self._pays:
             return self._schedule.between_renders(LOOK_EVERY, seen=seen)
         return not self._video.needs_idr and self._schedule.between_renders(self._settings.reference_every, seen=seen)
+
+    @property
+    def _given_up(self) -> bool:
+        """Whether no references are made because this machine is too slow for them."""
+        return self._coder.kind is not None and not self._pays
 
     @property
     def _pays(self) -> bool:
@@ -446,10 +468,7 @@ class Streamer:
         # A job longer than a frame starves everything else on the machine: tiles, and a client beside the server.
         self._rests_until_us = now_us + max(work_us - round(self._schedule.reference_period_us), 0)
         self.stats.references += plan.speaks
-        self.stats.render_ns += render.render_ns
-        self.stats.mirror_ns += render.mirror_ns
         self.stats.mirror_bytes = self._mirror.memory_bytes
-        self.stats.encode_ns += render.encode_ns
         if plan.speaks:
             self.lacking = render.coded.before
             cost = ReferenceCosts(1, render.render_ns + render.mirror_ns, render.encode_ns)
@@ -461,7 +480,7 @@ class Streamer:
             self._video.broken()
             return []
         if plan.greets:
-            self._reference_budget.spent(len(render.coded.access_unit))
+            self._reference_budget.spent(len(render.coded.access_unit) + REFERENCE_OVERHEAD_BYTES)
             return self._counted([self._video.message(render, now_us + GREETING_DEADLINE_US)], now_us)
         self._visibility.rendered(plan.ahead.frame, render.contribution)
         overtaken = self._schedule.overtaken(plan.tick)
@@ -499,7 +518,7 @@ class Streamer:
         late = now_us + travels_us >= self._viewer.clock.to_server(render.plan.display_us)
         rare = now_us - render.plan.planned_us > OVERLOAD * self._schedule.reference_period_us
         self._coder.lateness.observe(late=late or rare)
-        self._reference_budget.spent(record.reference_bytes)
+        self._reference_budget.spent(record.reference_bytes + REFERENCE_OVERHEAD_BYTES)
         return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
 
     def _moving_on(self, render: FrameRender) -> list[ev.Outgoing]:
@@ -514,10 +533,15 @@ class Streamer:
         """The tiles chosen by the rate policy for a frame, and the end of the frame."""
         camera = Camera(self._hello.intrinsics, record.predicted, self._hello.near)
         ahead = record.ahead
+        if self._schedule.timeline.playing:
+            self._arrivals.expect(ahead.frame, ahead.display_us)
         visible = self._visibility.with_ghosts(visible, ahead.frame, camera, self._tiles.inventory, self._tiles.age)
         decision = self._decide(visible, record, now_us)
         deadline_us = self._viewer.clock.to_server(ahead.display_us) + int(self._settings.tile_deadline_ms * 1000)
-        return self._counted(self._tiles.upgrades(ahead.frame, decision.upgrades, deadline_us), now_us)
+        out = self._tiles.upgrades(ahead.frame, decision.upgrades, deadline_us)
+        frames = [each.message.frame for each in out if isinstance(each.message, FrameEnd)]
+        self._ends_due_us |= dict.fromkeys(frames, ahead.display_us)
+        return self._counted(out, now_us)
 
     def _record(self, plan: FramePlan) -> FrameRecord:
         record = FrameRecord(
@@ -542,7 +566,8 @@ class Streamer:
         frame, display_us = record.ahead.frame, record.ahead.display_us
         to_display_us = self._viewer.clock.to_server(display_us) - now_us
         lead_frames = to_display_us / self._schedule.timeline.period_us
-        views = (self._tiles.view(tile, frame, lead_frames) for tile in visible)
+        views = [self._tiles.view(tile, frame, lead_frames) for tile in visible]
+        record.level = mean_level(views)
         tiles = tuple(view for view in views if view.kind == TileKind.LOOKS or not view.complete)
         period_us = self._schedule.planned_period_us
         earned_bytes = self._budget.open(record, self._schedule.timeline.period_us, now_us)
@@ -574,11 +599,34 @@ class Streamer:
     # ------------------------------------------------------------------------------------------------------ messages
 
     def outdated(self, outgoing: ev.Outgoing, now_us: int) -> bool:
-        """Whether a waiting tile was chosen for a frame that has been displayed; another tile may be worth more now."""
+        """Whether a waiting message was made for a frame that has been displayed: of a tile, another may be worth more
+        now; of an end, see :meth:`take_late_ends`.
+        """
         message, deadline_us = outgoing.message, outgoing.deadline_us
+        if isinstance(message, FrameEnd):
+            return self._ends_late(outgoing, now_us)
         if not isinstance(message, TileLayers) or deadline_us is None:
             return False
         return now_us >= deadline_us - int(self._settings.tile_deadline_ms * 1000)
+
+    def _ends_late(self, outgoing: ev.Outgoing, now_us: int) -> bool:
+        """Whether a message ends a frame that has been displayed without it."""
+        if not isinstance(outgoing.message, FrameEnd):
+            return False
+        display_us = self._ends_due_us.get(outgoing.message.frame)
+        return display_us is not None and now_us >= self._viewer.clock.to_server(display_us)
+
+    def take_late_ends(self, now_us: int) -> list[ev.Outgoing]:
+        """Ends to queue again, ahead of every tile, for frames that were displayed without theirs.
+
+        The newest stands for all of them; the others are needed only where they name splats. Behind their tiles the
+        ends of a slow link would be ever later, and the client would show nothing that came after them.
+        """
+        late, self._late_ends = self._late_ends, []
+        if not late:
+            return []
+        kept = [each for each in late if each.payload or each is late[-1]]
+        return self._counted([replace(each, priority=BLOB_PRIORITY) for each in kept], now_us)
 
     def _display_us(self, deadline_us: int) -> int:
         """Display time of the frame of a reference that is useful until ``deadline_us``; both by the server's clock."""

@@ -10,6 +10,7 @@ from typing import Any
 
 import aiohttp
 import pytest
+from aiohttp import web
 
 from cags_common.errors import BundleError
 from cags_common.geometry import Pose
@@ -71,6 +72,39 @@ async def test_who_shows_the_token_waits_with_nobody(monkeypatch: pytest.MonkeyP
         await by_hello.until(ev.Welcomed)
         for client in silent:
             await client.transport.close()
+
+
+UPGRADE = (
+    b"GET /stream HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+    b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+)
+
+
+async def test_who_goes_while_waiting_for_a_turn_leaves_no_traceback(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    waiting, turn = asyncio.Event(), asyncio.Event()
+
+    async def take(turns: app.AdmissionRate) -> bool:
+        waiting.set()
+        await turn.wait()
+        return True
+
+    monkeypatch.setattr(app.AdmissionRate, "take", take)
+    async with serving() as (running, _):
+        runner = web.AppRunner(running.web_app())  # as `serve` does; a test server cancels who waits
+        await runner.setup()
+        await web.TCPSite(runner, "127.0.0.1", 0).start()
+        _, writer = await asyncio.open_connection(*runner.addresses[0])
+        writer.write(UPGRADE)
+        await waiting.wait()
+        writer.transport.abort()
+        await asyncio.sleep(0.1)
+        turn.set()
+        await asyncio.sleep(0.1)
+        assert not running._clients
+        await runner.cleanup()
+    assert "Error handling request" not in caplog.text
 
 
 async def test_too_many_poses_are_refused_by_name() -> None:

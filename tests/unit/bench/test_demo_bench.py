@@ -90,7 +90,7 @@ def _ticks(pid: int) -> int:
 
 
 def test_more_cores_than_there_are_cannot_be_loaded() -> None:
-    with pytest.raises(ConfigError, match=r"busy_cores = 256: this process may use \d+; ask for fewer"):
+    with pytest.raises(ConfigError, match=r"busy_cores = 256: this process may use \d+; give fewer"):
         next(demo_lines(DemoBenchSettings(busy_cores=256)))
 
 
@@ -103,5 +103,5 @@ def test_wrong_settings_are_told(settings: dict[str, Any], words: str) -> None:
 
 
 def test_an_earlier_state_that_is_no_program_is_told() -> None:
-    with pytest.raises(ConfigError, match="before = '/nowhere' is no program"):
+    with pytest.raises(ConfigError, match="before = '/nowhere' is not a program"):
         next(demo_lines(DemoBenchSettings(before="/nowhere")))

@@ -77,7 +77,7 @@ def test_scenes_that_are_not_there_are_left_out(tmp_path: Path) -> None:
         ({"methods": "auto,swap"}, "'swap' is unknown; known: auto"),
         ({"links": "fast"}, "rates in Mbps"),
         ({"links": "10,-1"}, "must lie in"),
-        ({"baseline": "a.jsonl", "before": "python"}, "one earlier state"),
+        ({"baseline": "a.jsonl", "before": "python"}, "give one of them"),
     ],
 )
 def test_what_cannot_be_played_is_named(changes: dict[str, str], words: str) -> None:
@@ -152,18 +152,18 @@ def test_a_baseline_is_what_an_earlier_run_compared_with_or_its_own_default(tmp_
 def test_a_baseline_without_cases_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "earlier.jsonl"
     path.write_text(text)
-    with pytest.raises(ConfigError, match=r"baseline = .*(holds no case|cannot be read)"):
+    with pytest.raises(ConfigError, match=r"baseline = .*(contains no case|cannot be read)"):
         read_baseline(path)
 
 
 def test_an_earlier_installation_that_fails_is_quoted(tmp_path: Path) -> None:
     case = Case("procedural:size=600,frames=8", 30, "synthetic:walking", 8, 96, 72, str(tmp_path / "bundles"))
-    with pytest.raises(ConfigError, match="is no program"):
+    with pytest.raises(ConfigError, match="is not a program"):
         played_before(str(tmp_path / "python"), case)
     broken = tmp_path / "python"
     broken.write_text("#!/bin/sh\necho it is broken >&2\nexit 3\n")
     broken.chmod(broken.stat().st_mode | stat.S_IXUSR)
-    with pytest.raises(ConfigError, match="it says: it is broken"):
+    with pytest.raises(ConfigError, match="its message: it is broken"):
         played_before(str(broken), case)
 
 

@@ -13,7 +13,7 @@ import pytest
 from cags_bench.scale.cluster import Cluster, Load
 from cags_bench.scale.command import add_arguments, capacity, run
 from cags_bench.scale.settings import ScaleSettings
-from cags_bench.scale.sizing import judged, sizing_table
+from cags_bench.scale.sizing import judged, sizing_caption, sizing_table
 from cags_bench.scale.viewers import ALONE, APART, SAME, Audience, cost_of, splats_shown
 from cags_bench.sim.workers import Cores
 from cags_common.errors import ConfigError
@@ -110,7 +110,9 @@ def test_the_whole_command_tells_costs_and_uses_them(bundle: Path, tmp_path: Pat
     names = [entry["name"] for entry in last["checks"]]
     assert any("viewers a core at 5 Mbps" in name for name in names)
     assert any("2 viewers at 5 frames a second and 3 Mbps" in name for name in names)
-    assert (tmp_path / "table.md").read_text().count("\n") == 3
+    *_, blank, caption = (tmp_path / "table.md").read_text().splitlines()
+    assert blank == ""
+    assert f"commit {last['commit']}" in caption
 
 
 def test_on_cores_that_are_too_few_everybody_gets_a_share(bundle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -134,7 +136,7 @@ def test_a_clip_that_is_too_short_says_so(bundle: Path) -> None:
 
 
 def test_sizes_are_numbers() -> None:
-    with pytest.raises(ConfigError, match="'many' is no number of splats"):
+    with pytest.raises(ConfigError, match="'many' is not a number of splats"):
         ScaleSettings(sizes="1000,many")
 
 
@@ -171,4 +173,5 @@ def test_the_table_has_a_row_a_scene() -> None:
 def test_the_operators_table_is_that_of_the_committed_lines() -> None:
     folder = ROOT / "docs/how-to"
     lines = [json.loads(line) for line in (folder / "sizing.jsonl").read_text(encoding="utf-8").splitlines()]
-    assert sizing_table([line for line in lines if "case" in line]) in (folder / "operate.md").read_text("utf-8")
+    cases, page = [line for line in lines if "case" in line], (folder / "operate.md").read_text("utf-8")
+    assert f"{sizing_table(cases)}\n{sizing_caption(cases, lines[-1])}\n" in page, "the output of --table, as it is"

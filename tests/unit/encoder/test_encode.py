@@ -16,7 +16,7 @@ FAST = EncodeSettings(train_splats=1000)
 
 
 def moving(frames: int = 6, n: int = 400, sh_degree: int = 0) -> list[Splats]:
-    """The first quarter drifts slowly, the second changes colour at once in frame 3, the rest stands still."""
+    """The first quarter drifts slowly, the second changes colour abruptly in frame 3, and the rest stands still."""
     first, out = cloud(n, 5, sh_degree), []
     quarter = n // 4
     for i in range(frames):

@@ -1,4 +1,4 @@
-"""Pruning takes what hardly shows, says what that costs, and keeps identities."""
+"""Pruning removes splats that contribute little, measures the loss, and keeps identities."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +24,7 @@ needs_kernels = pytest.mark.skipif(create("auto").name == "oracle", reason="doze
 
 
 def half_hidden() -> Splats:
-    """Big opaque splats, and as many that are all but transparent."""
+    """Big opaque splats, and as many that are almost transparent."""
     splats = cloud(400, 2)
     logits = np.where(np.arange(400) % 2, 4.0, -9.0)
     return with_changes(splats, means=splats.means * 0.4, logit_opacities=logits, log_scales=np.full((400, 3), -2.5))
@@ -65,7 +65,7 @@ def test_as_many_go_as_the_picture_allows() -> None:
 
 @needs_kernels
 def test_nothing_goes_where_nothing_may_be_lost() -> None:
-    few = half_hidden().take(np.arange(1, 40, 2))  # all of them show
+    few = half_hidden().take(np.arange(1, 40, 2))  # all of them are visible
     pruned, cost = prune_within(SplatSequence((few,), focus=FOCUS), 80.0, 1, lambda at, end: None)
     assert (len(pruned.frame(0)), cost.splats_after, cost.psnr_db) == (20, 20, 100.0)
 

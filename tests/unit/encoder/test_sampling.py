@@ -1,4 +1,4 @@
-"""The subset that codebooks are trained on: of the first frame, and of what changes later."""
+"""The training subset for codebooks: splats of the first frame, and those that change later."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Frames cut into tiles: every splat once, close together, by id within."""
+"""Frames cut into tiles: each splat once, neighbours together, ids ascending within a tile."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cags_encoder.tiling import corners, cut_tiles
 
 
 class Rows:
-    """Quantised splats that are their row numbers."""
+    """Quantised splats that consist of their row numbers."""
 
     def __init__(self, rows: np.ndarray) -> None:
         self.rows = rows

@@ -88,13 +88,17 @@ export class References<P> {
    * it is committed. undefined: all that has come.
    *
    * That which the frame's own reference assumes. A picture assumes none: as much is shown as no coming reference falls
-   * behind. While an own reference is late, what is shown stays as the one before assumes.
+   * behind. While an own reference is late, as much is shown as the newest one assumes, which may have come after its
+   * own frame, and no less than before; if that one says nothing, there is nothing to keep in force.
    */
   basis(found: Received<P> | undefined): number | undefined {
     const reference = found?.reference;
-    if (reference && assumes(reference) && this.frame - reference.frame <= PATIENCE_FRAMES) {
-      if (reference.frame === this.frame) this.committed = reference.basis;
-      return this.committed;
+    if (reference && assumes(reference)) {
+      const own = reference.frame === this.frame;
+      if (own || (reference.kind !== "nothing" && this.frame - reference.frame <= PATIENCE_FRAMES)) {
+        this.committed = Math.max(reference.basis, own ? 0 : this.committed);
+        return this.committed;
+      }
     }
     this.committed = Math.min(this.nextBasis(), this.mark);
     return this.committed || undefined;

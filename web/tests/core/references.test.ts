@@ -68,3 +68,31 @@ test("a round of a loop shows no reference of the round before, and those of its
     assert.equal(shown(references, frame % CLIP), frame === CLIP + 1 ? "second 1" : undefined, `frame ${frame}`);
   }
 });
+
+test("a reference that came after its own frame is shown with what it assumes, and nothing falls back", () => {
+  const references = new References<null>();
+  const basis = (frame: number): number | undefined => {
+    references.show(frame, CLIP);
+    return references.basis(references.newest(9));
+  };
+  const differs = (frame: number, order: number, mark: number): Reference =>
+    ({ frame, order, basis: mark, kind: "difference" }) as unknown as Reference;
+  references.marked(9);
+  references.add(differs(10, 1, 4), null);
+  assert.equal(basis(10), 4);
+  assert.equal(basis(11), 4);
+  references.add(differs(11, 2, 6), null);
+  assert.equal(basis(12), 6);
+  references.add(differs(10, 3, 5), null);
+  assert.equal(basis(13), 6);
+});
+
+test("while a reference is late, one that says nothing holds nothing back", () => {
+  const references = new References<null>();
+  references.marked(9);
+  references.add(silent(10, 1, 4), null);
+  for (const [frame, mark] of [[10, 4], [11, 9]] as const) {
+    references.show(frame, CLIP);
+    assert.equal(references.basis(references.newest(9)), mark);
+  }
+});

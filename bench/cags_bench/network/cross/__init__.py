@@ -1,1 +1,1 @@
-"""Sessions beside other traffic on one bottleneck, in virtual time, with TCP modelled under each."""
+"""Sessions that share a bottleneck with other traffic, in virtual time, each over a model of TCP."""

@@ -1,7 +1,7 @@
-"""Flows over one link under one clock: sessions of the product, and whoever competes with them.
+"""Flows over one link under one clock: sessions of the product and competing flows.
 
 The link is the shaper's own (:class:`cags_shaper.link.Link`): packets, a drop-tail queue, random loss, delay.
-Acknowledgements and what viewers say come back after the same delay; that way has room for them and loses nothing.
+Acknowledgements and clients' messages return after the same delay, without limits or losses.
 """
 
 from __future__ import annotations
@@ -16,31 +16,31 @@ from cags_server.link import MeasuredLink
 from cags_shaper.link import SEGMENT_OVERHEAD_BYTES, Link
 
 SAMPLE_US = 10_000
-"""The queue is looked at so often."""
+"""Interval at which the queue is sampled."""
 
 MAX_STEPS = 10_000
-"""At one instant: whoever wants more never comes to rest."""
+"""Largest number of steps at one instant; a participant that needs more is stuck."""
 
 
 class Rival:
-    """A flow that is used from ``start_us`` on; one without end stands for a long download."""
+    """A flow that starts at ``start_us``; an endless one represents a long download."""
 
     def __init__(self, flow: Flow, start_us: int) -> None:
         self.flow, self.start_us = flow, start_us
 
 
 class Station(Rival):
-    """A session of the product over a flow; its own clock begins at ``start_us``."""
+    """A session of the product over a flow; its clock begins at ``start_us``."""
 
     def __init__(self, flow: Flow, start_us: int) -> None:
         super().__init__(flow, start_us)
         self.log = Arrivals()
         self.due_us: int | None = start_us
-        """When :meth:`step` wants to be called; whatever reaches the station or its flow brings it forward."""
+        """When :meth:`step` must be called next; arrivals at the station or its flow move it forward."""
         self.server, self.client = LoadServer(MeasuredLink(), self.log, FPS), LoadClient(self.log)
 
     def step(self, now_us: int) -> tuple[bool, list[bytes]]:
-        """Do what is due; whether there was anything, and what the client says."""
+        """Do what is due. Returns whether there was anything, and the client's messages."""
         if self.due_us is None or now_us < max(self.due_us, self.start_us):
             return False, []
         local_us, busy = now_us - self.start_us, False
@@ -59,13 +59,13 @@ class Station(Rival):
         return busy or bool(said), said
 
     def delivered(self, messages: list[bytes], now_us: int) -> None:
-        """Messages have come to the client."""
+        """Messages have arrived at the client."""
         for message in messages:
             self.client.receive(message, now_us - self.start_us)
         self.due_us = now_us
 
     def heard(self, message: bytes, now_us: int) -> None:
-        """A message has come to the server."""
+        """A message has arrived at the server."""
         self.server.receive(message, now_us - self.start_us)
         self.due_us = now_us
 
@@ -77,7 +77,7 @@ class Bottleneck:
         self, link: Link[Segment], stations: Sequence[Station], rivals: Sequence[Rival], rate_bps: float
     ) -> None:
         self.queue_us: list[tuple[int, float]] = []
-        """(time, delay of a packet that came now), a value every :data:`SAMPLE_US`."""
+        """(time, delay of a packet arriving now), every :data:`SAMPLE_US`."""
         self._link, self._stations, self._rate_bps = link, stations, rate_bps
         parties: list[Rival] = [*stations, *rivals]
         self._flows = [(party.flow, party.start_us) for party in parties]
@@ -88,7 +88,7 @@ class Bottleneck:
         self._now_us = self._sample_us = 0
 
     def run(self, until_us: int) -> None:
-        """Go on to ``until_us``. Raises :class:`NetworkError` where somebody does not come to rest."""
+        """Run until ``until_us``. Raises :class:`NetworkError` if a participant is stuck."""
         while self._now_us <= until_us:
             for _ in range(MAX_STEPS):
                 if not self._step(self._now_us):

@@ -1,12 +1,12 @@
-"""How fast a TCP sender may send: models of CUBIC and of BBR, without sockets or clocks.
+"""Congestion control of TCP: models of CUBIC and BBR, without sockets or clocks.
 
-:class:`Cubic` follows RFC 9438: the cubic window, the Reno-friendly region, fast convergence, and time in which the
-application gave too little to send left out. Slow start is the plain one: HyStart++ (RFC 9406) is not modelled, so a
+:class:`Cubic` follows RFC 9438: the cubic window, the Reno-friendly region, fast convergence, and exclusion of
+times in which the application sent too little. Slow start is the plain one: HyStart++ (RFC 9406) is not modelled, so a
 flow leaves it with a full queue and losses.
 
 :class:`Bbr` follows version 1 (draft-cardwell-iccrg-bbr-congestion-control-00), which Linux ships: startup, drain, the
-cycle of eight pacing gains, and a probe of the round trip every ten seconds. It answers no loss, as version 1 does but
-for the first round trip of a recovery, in which that sends no more than is delivered; this is not modelled.
+cycle of eight pacing gains, and a probe of the round trip every ten seconds. Like version 1 it
+ignores losses, but its first round trip of a recovery (no more is sent than delivered) is not modelled.
 """
 
 from __future__ import annotations
@@ -19,32 +19,32 @@ from typing import Protocol
 from cags_shaper.link import SEGMENT_BYTES
 
 INITIAL_SEGMENTS = 10
-"""Of a window (RFC 6928)."""
+"""Initial window in segments (RFC 6928)."""
 
 CUBIC_C, CUBIC_BETA = 0.4, 0.7
 """RFC 9438, sections 4.1 and 4.6."""
 
 CUBIC_ALPHA = 3 * (1 - CUBIC_BETA) / (1 + CUBIC_BETA)
-"""RFC 9438, section 4.3: with it a Reno flow of the same beta has CUBIC's mean window."""
+"""RFC 9438, section 4.3: a Reno flow with it and the same beta has CUBIC's mean window."""
 
 STARTUP_GAIN = 2 / math.log(2)
 CYCLE = (1.25, 0.75, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 WINDOW_GAIN = 2.0
 PACING_MARGIN = 0.99
-"""Linux paces so much slower than it has measured, for queues to drain."""
+"""Linux paces by this factor below the measured rate, so that queues drain."""
 
 LEAST_SEGMENTS = 4
 BANDWIDTH_ROUNDS = 10
 FULL_GROWTH, FULL_ROUNDS = 1.25, 3
-"""The pipe is full when bandwidth has not grown by so much in so many round trips."""
+"""The pipe is full if bandwidth has not grown by this factor in this number of round trips."""
 
 ROUND_TRIP_S, PROBE_S = 10.0, 0.2
-"""For so long the shortest round trip is believed, and so long it is looked for."""
+"""Validity of the shortest round trip, and duration of a probe for it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ack:
-    """What an acknowledgement told the sender. Bytes are of payload."""
+    """Information from an acknowledgement. Bytes are payload bytes."""
 
     now_us: int
     acked_bytes: int
@@ -52,9 +52,9 @@ class Ack:
     in_flight_bytes: int
     """Before this acknowledgement."""
     rate_bps: float
-    """Delivered over the time that it took, since the acknowledged segment was sent."""
+    """Delivery rate since the acknowledged segment was sent."""
     app_limited: bool
-    """Whether the application gave too little then."""
+    """Whether the application limited the rate at that time."""
     round_began: bool
     """Whether this ends a round trip."""
 
@@ -64,20 +64,20 @@ class Congestion(Protocol):
 
     @property
     def window_bytes(self) -> float:
-        """Most payload that may be unacknowledged."""
+        """Largest unacknowledged payload."""
 
     @property
     def pacing_bps(self) -> float | None:
-        """Rate at which segments leave; None: as the window allows."""
+        """Pacing rate of segments; None: limited by the window alone."""
 
     def on_ack(self, ack: Ack) -> None:
         """A segment has arrived."""
 
     def on_loss(self) -> None:
-        """Segments were lost; once in a round trip."""
+        """Segments were lost; called at most once per round trip."""
 
     def on_timeout(self) -> None:
-        """Nothing has come back for longer than a retransmission timeout."""
+        """A retransmission timeout has expired."""
 
 
 class Cubic:
@@ -98,12 +98,12 @@ class Cubic:
         return self._window * SEGMENT_BYTES
 
     def on_ack(self, ack: Ack) -> None:
-        """Grow, if the window was what held the flow back."""
+        """Grow if the window limited the flow."""
         since_us, self._heard_us = ack.now_us - self._heard_us, ack.now_us
         starting = self._window < self._threshold
         in_use = ack.in_flight_bytes / SEGMENT_BYTES
         if in_use * (2 if starting else 1) < self._window - 1:
-            if self._epoch_us is not None:  # time in which nothing was to be sent does not count
+            if self._epoch_us is not None:  # idle time does not count
                 self._epoch_us += since_us
             return
         segments = ack.acked_bytes / SEGMENT_BYTES
@@ -113,7 +113,7 @@ class Cubic:
             self._avoid(segments, ack)
 
     def on_loss(self) -> None:
-        """Give up three tenths of the window."""
+        """Reduce the window by three tenths."""
         converging = self._window < self._most
         self._most = self._window * (1 + CUBIC_BETA) / 2 if converging else self._window
         self._prior = self._window
@@ -163,11 +163,11 @@ class Bbr:
 
     @property
     def pacing_bps(self) -> float | None:
-        """The bandwidth times the gain of the phase; None before any is known."""
+        """Bandwidth times the gain of the phase; None before it is known."""
         return PACING_MARGIN * self._gain * self._rates[0][1] if self._rates else None
 
     def on_ack(self, ack: Ack) -> None:
-        """Learn bandwidth and round trip, and go on to the next phase when it is time."""
+        """Update bandwidth and round trip, and enter the next phase when it is due."""
         self._round += ack.round_began
         self._learn_rate(ack)
         expired = ack.now_us - self._rtt_at_us > ROUND_TRIP_S * 1e6
@@ -180,11 +180,11 @@ class Bbr:
         self._lost = False
 
     def on_loss(self) -> None:
-        """Only a phase that asks for more ends earlier."""
+        """A loss only ends a probing phase earlier."""
         self._lost = True
 
     def on_timeout(self) -> None:
-        """Begin again with one segment; the window comes back with what is acknowledged."""
+        """Restart with one segment; the window grows again with acknowledgements."""
         self._window_bytes = float(SEGMENT_BYTES)
 
     def _product(self, gain: float) -> float:
@@ -225,7 +225,7 @@ class Bbr:
             self._probe(ack.now_us, left_bytes)
 
     def _turn(self, ack: Ack, left_bytes: int) -> None:
-        """The next phase of the cycle, if this one has done its work."""
+        """Enter the next phase of the cycle if this one is complete."""
         over = ack.now_us - self._phase_us > self._rtt_us
         if self._gain > 1:
             over = over and (self._lost or ack.in_flight_bytes >= self._product(self._gain))

@@ -1,10 +1,9 @@
 """``cags-bench network --parts cross``: share of the link, queue and age of frames beside other traffic.
 
 The path is the reference path of RFC 8867 (50 ms one way, a drop-tail queue of 300 ms), at 10 Mbps instead of a video
-call's one or two. The cases are two flows of the same kind, and two beside a long TCP flow, as there; each without
-loss and with 2 % of random loss. The sessions are the product's own, with its estimator, and send all that this
-allows; below them lies a model of TCP (:mod:`cags_bench.network.cross.tcp`). Time is virtual: what else the machine
-does changes nothing.
+call's one or two. As in the RFC, the cases are two flows of the same kind, and two beside a long TCP flow; each
+without loss and with 2 % of random loss. The sessions are the product's own and send all that its estimator allows,
+over a model of TCP (:mod:`cags_bench.network.cross.tcp`). Time is virtual, so other load on the machine has no effect.
 """
 
 from __future__ import annotations
@@ -31,10 +30,10 @@ RATE_MBPS, DELAY_US, QUEUE_MS = 10.0, 50_000, 300.0
 OURS, LOSS = 2, 0.02
 ALONE = "none"
 SETTLE_US = 10_000_000
-"""Figures leave out the first seconds, in which flows find their rates."""
+"""Results exclude the first seconds, in which flows find their rates."""
 
 START_US = 1_000_000
-"""Everybody begins within so long, at a time that the seed decides."""
+"""All flows start within this time, at a moment given by the seed."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ class Case:
     duration_us: int
 
     def figures(self) -> dict[str, float]:
-        """Play it. Times in ms, shares of the link's payload bytes."""
+        """Run the case. Times are in ms, shares relative to the link's payload bytes."""
         draw = random.Random(self.seed)  # noqa: S311 - a simulation
         starts = [round(draw.uniform(0, START_US)) for _ in range(OURS + 1)]
         queue_bytes = round(RATE_MBPS * QUEUE_MS * 125)
@@ -81,15 +80,15 @@ class Case:
 
 
 def fairness(shares: Sequence[float]) -> float:
-    """Jain's index: 1 where all get the same, be it nothing; 1 / n where one of n gets all."""
+    """Jain's index: 1 if all shares are equal (even zero), 1 / n if one of n gets everything."""
     squares = len(shares) * sum(share**2 for share in shares)
     return sum(shares) ** 2 / squares if squares else 1.0
 
 
 def ages(log: Arrivals, start_us: int, from_us: int, until_us: int) -> np.ndarray:
-    """Age in us of the newest frame that has come, every :data:`SAMPLE_US`: since the server planned it.
+    """Time in us since the server planned the newest frame that has arrived, every :data:`SAMPLE_US`.
 
-    Frames whose reference was dropped, or is late, make those that are shown older. Before any came, since the start.
+    Dropped and late references make it larger. Before the first arrival it is the time since the start.
     """
     arrived = np.array([at_us for at_us, _ in log.references], np.int64) + start_us
     planned = np.maximum.accumulate(arrived - np.array([latency for _, latency in log.references], np.int64))
@@ -99,7 +98,7 @@ def ages(log: Arrivals, start_us: int, from_us: int, until_us: int) -> np.ndarra
 
 
 def cross_lines(duration_us: int, seeds: int, workers: int) -> Iterator[JsonObject]:
-    """A line a case, its figures the means over ``seeds`` with their 95 % intervals, and what loss does to the age."""
+    """One line per case with means and 95 % intervals over ``seeds``, and the effect of loss on the age."""
     groups = [(rival, carrier, loss) for rival in (ALONE, *RULES) for carrier in RULES for loss in (0.0, LOSS)]
     cases = [Case(*group, seed, SETTLE_US + duration_us) for group in groups for seed in range(1, seeds + 1)]
     played = iter(in_parallel(Case.figures, cases, workers))
@@ -124,14 +123,14 @@ def _means(runs: Sequence[dict[str, float]]) -> dict[str, Any]:
 
 
 def _compared(ratios: Sequence[float]) -> dict[str, Any]:
-    """The geometric mean of ratios of pairs, and its interval."""
+    """Geometric mean of ratios of pairs, and its interval."""
     found = interval([math.log(ratio) for ratio in ratios])
     low, high = (math.exp(bound) if math.isfinite(bound) else None for bound in (found.low, found.high))
     return {"age_p99_ratio": math.exp(found.mean), "age_p99_ratio_interval": [low, high]}
 
 
 def judged(lines: Sequence[JsonObject]) -> list[JsonObject]:
-    """Checks that these lines can answer; the worst line decides."""
+    """Checks that these lines allow; the worst line decides."""
     out = []
     beside = [line for line in lines if line["rival"] != ALONE and not line["loss"]]
     fair = 1 / (OURS + 1)
@@ -150,7 +149,7 @@ def judged(lines: Sequence[JsonObject]) -> list[JsonObject]:
 
 
 def cross_table(lines: Sequence[JsonObject]) -> str:
-    """Markdown: a row a case. Shares in percent of the link's rate, times in ms."""
+    """Markdown table with a row per case: shares in percent of the link's rate, times in ms."""
     head = (
         "| beside | our TCP | loss | each of ours (the lesser) | the other | queue, median / p95 "
         "| age, median / p99 | p99 over that without loss |"

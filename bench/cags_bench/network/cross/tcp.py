@@ -1,11 +1,11 @@
-"""One direction of a TCP connection as a model: segments, selective acknowledgements, retransmissions, order.
+"""A model of one direction of a TCP connection: segments, selective acknowledgements, retransmissions, order.
 
-What decides how a stream gets on beside others is modelled: a rule for the window
-(:mod:`cags_bench.network.cross.congestion`), loss seen by the delivery of anything that was sent later (RACK,
-RFC 8985, on a path that never reorders), a probe of the tail, the retransmission timeout (RFC 6298, at least 200 ms as
-Linux has it), and a receiver that hands on bytes in order alone. Every segment is acknowledged by itself and no
-acknowledgement is lost. The receiver's window is never full, there is no handshake, and nothing is delayed or
-coalesced. After a timeout nothing is sent again that the receiver has by then.
+It models what determines a stream's share beside others: congestion control
+(:mod:`cags_bench.network.cross.congestion`), loss detection by the delivery of later segments (RACK,
+RFC 8985, on a path that never reorders), a tail probe, the retransmission timeout (RFC 6298, at least 200 ms as in
+Linux), and in-order delivery. Every segment is acknowledged separately and no acknowledgement is lost. The receiver's
+window is never full, there is no handshake, and acknowledgements are not delayed or coalesced. After a timeout,
+segments that the receiver has are not sent again.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from cags_bench.network.cross.congestion import Ack, Congestion
 from cags_shaper.link import SEGMENT_BYTES, WEBSOCKET_OVERHEAD_BYTES
 
 NOTSENT_BYTES = 16 * 1024
-"""A socket with so much that has not been sent takes no more, as the server's do (``TCP_NOTSENT_LOWAT``)."""
+"""Limit of unsent data in a socket, as in the server (``TCP_NOTSENT_LOWAT``)."""
 
 LEAST_TIMEOUT_US, FIRST_TIMEOUT_US, LONGEST_TIMEOUT_US = 200_000, 1_000_000, 60_000_000
 LEAST_PROBE_US = 10_000
@@ -26,7 +26,7 @@ LEAST_PROBE_US = 10_000
 
 @dataclass(eq=False, slots=True)
 class Segment:
-    """Bytes ``start`` to ``end`` of a flow's stream, sent once; sent again they are another segment."""
+    """Bytes ``start`` to ``end`` of a flow's stream, sent once; a retransmission is another segment."""
 
     flow: Flow
     order: int
@@ -44,16 +44,16 @@ class Segment:
 
 
 class Flow:
-    """Sender and receiver of a stream of messages, or of bytes without end (``endless``)."""
+    """Sender and receiver of a stream of messages, or of endless bytes (``endless``)."""
 
     def __init__(self, congestion: Congestion, *, endless: bool = False) -> None:
         self.congestion = congestion
         self.received_bytes = 0
-        """In order, by the receiver."""
+        """Bytes delivered in order."""
         self.retransmitted = 0
-        """Segments that were sent again."""
+        """Number of retransmitted segments."""
         self._endless = endless
-        self._written = self._sent = 0  # ends of what the application gave, and of what went out once
+        self._written = self._sent = 0  # end of the written data, and of the data sent once
         self._messages: deque[tuple[int, bytes]] = deque()
         self._lost: deque[tuple[int, int]] = deque()
         self._outstanding: deque[Segment] = deque()
@@ -66,16 +66,16 @@ class Flow:
 
     @property
     def congested(self) -> bool:
-        """Whether the socket takes no more."""
+        """Whether the socket is full."""
         return self._written - self._sent >= NOTSENT_BYTES
 
     def write(self, message: bytes) -> None:
-        """Take a message, with the header that a WebSocket gives it."""
+        """Accept a message; a WebSocket header is added."""
         self._written += len(message) + WEBSOCKET_OVERHEAD_BYTES
         self._messages.append((self._written, message))
 
     def segments(self, now_us: int) -> list[Segment]:
-        """What is to be sent now."""
+        """Segments to send now."""
         self._time_out(now_us)
         out: list[Segment] = []
         while now_us >= self._next_send_us and (piece := self._next_piece()) is not None:
@@ -96,13 +96,13 @@ class Flow:
         return min(times, default=None)
 
     def acknowledged(self, segment: Segment, now_us: int) -> None:
-        """The receiver said that ``segment`` has come."""
+        """``segment`` was acknowledged."""
         in_flight = self._in_flight
         lost = False
         while self._outstanding and self._outstanding[0].order < segment.order:
             lost |= self._lose(self._outstanding.popleft())
         if not self._outstanding or self._outstanding[0] is not segment:
-            return  # it had been given up by a timeout
+            return  # a timeout had given it up
         self._outstanding.popleft()
         self._in_flight -= segment.size
         self._heard_us, self._silences = now_us, 0
@@ -120,7 +120,7 @@ class Flow:
         )
 
     def arrived(self, segment: Segment) -> list[bytes]:
-        """A segment has come out of the link; messages that are whole now."""
+        """A segment has left the link; returns the messages completed by it."""
         if segment.start >= self.received_bytes:
             self._arrived[segment.start] = segment.end
         while (end := self._arrived.pop(self.received_bytes, None)) is not None:
@@ -131,7 +131,7 @@ class Flow:
         return out
 
     def _may_send(self) -> tuple[int, int] | None:
-        """What would go next if pacing allows; lost bytes before new ones."""
+        """The bytes to send next if pacing allows, lost ones first."""
         while self._lost and self._has(self._lost[0][0]):
             self._lost.popleft()
         if self._lost:
@@ -169,7 +169,7 @@ class Flow:
         return segment
 
     def _lose(self, segment: Segment) -> bool:
-        """Send its bytes again; whether that is the first loss of a round trip."""
+        """Schedule a retransmission; returns whether it is the first loss of a round trip."""
         self._in_flight -= segment.size
         self._lost.append((segment.start, segment.end))
         first = segment.order >= self._recovered_order
@@ -188,7 +188,7 @@ class Flow:
         self._srtt_us += (rtt_us - self._srtt_us) / 8
 
     def _patience_us(self) -> int:
-        """How long silence lasts until a probe, and after it until the timeout."""
+        """Waiting time until a probe, and after it until the timeout."""
         if not self._silences and self._srtt_us:
             return round(max(2 * self._srtt_us, LEAST_PROBE_US))
         known_us: float = self._srtt_us + 4 * self._rttvar_us if self._srtt_us else FIRST_TIMEOUT_US
@@ -200,7 +200,7 @@ class Flow:
             return
         self._silences += 1
         last = self._outstanding[-1]
-        if self._silences == 1 and self._srtt_us:  # the tail again, whatever the window says
+        if self._silences == 1 and self._srtt_us:  # probe the tail, regardless of the window
             self._outstanding.pop()
             self._in_flight -= last.size
             self._lost.appendleft((last.start, last.end))

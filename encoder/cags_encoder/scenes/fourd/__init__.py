@@ -1,4 +1,4 @@
-"""A generated clip as 4D models give them when they are sampled: every splat lives for a while and moves in a line."""
+"""A generated clip like those sampled from 4D models: every splat lives for a while and moves along a line."""
 
 from cags_encoder.scenes.fourd.scene import FourdOptions, FourdScene
 

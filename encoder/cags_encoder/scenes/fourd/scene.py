@@ -22,10 +22,10 @@ from cags_encoder.scenes.procedural.textures import Noise
 from cags_encoder.scenes.source import DEFAULT_FPS, MAX_FRAMES, Focus
 
 SPREAD = 0.9
-"""Of lives: standard deviation of their logarithm, before the longest are cut."""
+"""Standard deviation of the logarithm of lifetimes, before the longest are cut off."""
 
 LONGEST = 4.0
-"""Longest life, in mean ones."""
+"""Longest lifetime, in mean lifetimes."""
 
 FACES = 0.9
 """Standard deviation of a splat along the surface, in distances to its neighbours."""
@@ -39,33 +39,36 @@ class FourdOptions:
     """Size and length of the generated 4D clip."""
 
     splats: int = setting(60_000, "mean number of splats in a frame", low=100, high=4_000_000)
-    births: int = setting(7_500, "splats that come, and go, in every frame; a life lasts splats / births frames", low=1)
+    births: int = setting(7_500, "new splats per frame; the mean lifetime is splats / births frames", low=1)
     degree: int = setting(3, "spherical-harmonics degree", low=0, high=3)
     frames: int = setting(60, "number of frames", low=1, high=MAX_FRAMES)
-    fps: float = setting(DEFAULT_FPS, "frames a second", low=1.0, high=240.0)
+    fps: float = setting(DEFAULT_FPS, "frames per second", low=1.0, high=240.0)
     seed: int = setting(1, "seed of everything random", low=0, high=2**31 - 1)
 
     def __post_init__(self) -> None:
         check_settings(self)
         if self.births > self.splats:
-            raise ConfigError(f"births = {self.births} is more than splats = {self.splats}: lives last a frame or more")
+            raise ConfigError(
+                f"births = {self.births} exceeds splats = {self.splats}; lifetimes must be at least one frame"
+            )
         if (self.frames + self.window) * self.births >= 2**31:
             raise ConfigError(f"births = {self.births} in {self.frames} frames are too many to number; give fewer")
 
     @property
     def life(self) -> float:
-        """Mean life, frames."""
+        """Mean lifetime in frames."""
         return self.splats / self.births
 
     @property
     def window(self) -> int:
-        """Frames in which all were born that can be alive in one."""
+        """Number of frames in which the live splats of a frame can have been born."""
         return math.ceil(LONGEST * self.life) + 1
 
 
 class FourdScene:
-    """Moving, textured shapes covered by splats that come, drift in a straight line and go. The same options give the
-    same frames, bit by bit. Splats are born in batches, one a frame; a batch follows from the seed alone.
+    """Moving, textured shapes covered by splats that appear, drift along a straight line and disappear.
+
+    The same options give bit-identical frames. One batch of splats is born per frame; it depends on the seed alone.
     """
 
     def __init__(self, options: FourdOptions) -> None:
@@ -81,7 +84,7 @@ class FourdScene:
 
     @property
     def fps(self) -> float:
-        """Frames a second."""
+        """Frames per second."""
         return self._options.fps
 
     @property
@@ -91,7 +94,7 @@ class FourdScene:
 
     @property
     def focus(self) -> Focus:
-        """The middle of the rug, at the height of the column."""
+        """The centre of the rug, at the height of the column."""
         return Focus((0.0, 0.8, 0.0), 1.5)
 
     def __len__(self) -> int:
@@ -103,12 +106,12 @@ class FourdScene:
         return Splats.concatenate(parts)
 
     def ids(self, index: int) -> Ids:
-        """A number for every splat that is ever born."""
+        """A unique number for every splat of the clip."""
         firsts = [(number * self._options.births, rows) for number, _, rows in self._alive(index)]
         return np.concatenate([first + rows for first, rows in firsts]).astype(np.int32)
 
     def _alive(self, index: int) -> list[tuple[int, TimedSplats, NDArray[np.intp]]]:
-        """Number, splats and rows alive at ``index`` of every batch of which some are."""
+        """Number, splats and live rows of every batch with splats alive at ``index``."""
         if not 0 <= index < len(self):
             raise IndexError(index)
         window, found = self._options.window, []
@@ -130,7 +133,7 @@ class FourdScene:
         return self._batches[number]
 
     def _born(self, number: int) -> TimedSplats:
-        """The splats that come in the frame before ``number - window + 1``, times in frames."""
+        """The splats born in the frame before ``number - window + 1``, times in frames."""
         options = self._options
         rng = np.random.default_rng([options.seed, number])
         lives = rng.permutation(self._lives)
@@ -150,19 +153,20 @@ class FourdScene:
         return TimedSplats(splats, centres, widths, motion, np.zeros((len(lives), 4), np.float32))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Workers make the splats themselves."""
+        """Workers generate the splats again."""
         return FourdScene, (self._options,)
 
 
 def _lives(count: int, mean: float) -> F64:
-    """``count`` lives in frames, evenly from a log-normal distribution without its longest; their mean is ``mean``.
+    """``count`` lifetimes in frames with mean ``mean``: quantiles of a log-normal distribution without its longest.
 
-    Lives of a captured performance are spread so: a quarter of a frame's splats live for two mean lives and more.
+    Lifetimes in a captured performance are distributed like this: a quarter of a frame's splats live for at least
+    two mean lifetimes.
     """
     from scipy.special import ndtri
 
     lives: F64 = np.exp(SPREAD * ndtri((np.arange(count) + 0.5) / count))
-    for _ in range(20):  # scaling moves some beyond the longest
+    for _ in range(20):  # scaling moves some beyond the limit
         lives = np.minimum(lives / lives.mean(), LONGEST)
     return lives * mean
 
@@ -170,7 +174,7 @@ def _lives(count: int, mean: float) -> F64:
 def _covering(
     shape: Shape, times_s: F64, spacing: float, options: FourdOptions, rng: np.random.Generator
 ) -> tuple[Splats, NDArray[np.float32]]:
-    """Splats on ``shape`` at ``times_s`` [n], and their movement [n, 3] in metres a frame."""
+    """Splats on ``shape`` at ``times_s`` [n], and their motion [n, 3] in metres per frame."""
     n = len(times_s)
     u, v = rng.uniform(0, 1, (2, n))
     points, (along_u, along_v) = shape.points(u, v, times_s), shape.tangents(u, v, times_s)

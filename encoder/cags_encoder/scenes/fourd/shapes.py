@@ -1,4 +1,4 @@
-"""Textured shapes that move and bend, as functions of surface coordinates and time: what a 4D model has learnt.
+"""Textured shapes that move and bend, as functions of surface coordinates and time, like the content of a 4D model.
 
 Every shape takes surface coordinates ``u, v`` [N] in 0..1 and a time [N] in seconds and gives points [N, 3] in metres,
 y up.
@@ -25,22 +25,22 @@ from cags_encoder.scenes.procedural.textures import (
 Surface = Callable[[F64, F64, F64], F64]
 
 STEP = 1e-3
-"""Of differences in place of derivatives: surface coordinates, and seconds."""
+"""Step of finite differences, in surface coordinates and in seconds."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """One thing of the scene."""
+    """One object of the scene."""
 
     points: Surface
     pattern: Pattern
     size: tuple[float, float]  # metres along u and v, for the pattern
     area: float  # square metres
     gloss: float
-    """Strength of the highlight in its harmonics."""
+    """Strength of the highlight in the harmonics."""
 
     def velocities(self, u: F64, v: F64, time_s: F64) -> F64:
-        """Metres a second [N, 3]."""
+        """Velocities [N, 3] in metres per second."""
         ahead: F64 = self.points(u, v, time_s + STEP) - self.points(u, v, time_s - STEP)
         return ahead / (2 * STEP)
 
@@ -56,7 +56,7 @@ class Shape:
 
 
 def shapes(noise: Noise) -> list[Shape]:
-    """A rug that lies still, a ball and a ring that go round, a column that bends and a cloth in the wind."""
+    """A static rug, a ball and a ring that circle, a column that bends, and a cloth in the wind."""
     gay = ((0.85, 0.2, 0.15), (0.95, 0.8, 0.25), (0.15, 0.45, 0.7), (0.92, 0.9, 0.85))
     return [
         Shape(_floor, rug(noise, 1.5, 1.5), (3.0, 3.0), 9.0, 0.0),
@@ -76,7 +76,7 @@ def _floor(u: F64, v: F64, time_s: F64) -> F64:
 
 
 def _ball(u: F64, v: F64, time_s: F64) -> F64:
-    """Radius 0.35 m, rolls round the middle in ten seconds and hops."""
+    """Radius 0.35 m; rolls around the centre in ten seconds and hops."""
     turn, azimuth = 2 * np.pi * time_s / 10.0, 2 * np.pi * u + time_s
     polar = np.pi * (0.01 + 0.98 * v)
     x, z = 1.1 * np.cos(turn), 1.1 * np.sin(turn)
@@ -86,7 +86,7 @@ def _ball(u: F64, v: F64, time_s: F64) -> F64:
 
 
 def _ring(u: F64, v: F64, time_s: F64) -> F64:
-    """A torus of radius 0.5 and 0.15 m that turns and tilts above the rest."""
+    """A torus of radii 0.5 and 0.15 m that rotates and tilts above the rest."""
     around, tube = 2 * np.pi * u + 0.5 * time_s, 2 * np.pi * v
     reach = 0.5 + 0.15 * np.cos(tube)
     tilt = 0.4 * np.sin(0.9 * time_s)
@@ -95,13 +95,13 @@ def _ring(u: F64, v: F64, time_s: F64) -> F64:
 
 
 def _column(u: F64, v: F64, time_s: F64) -> F64:
-    """Radius 0.18 m, height 1.4 m, leans to and fro."""
+    """Radius 0.18 m, height 1.4 m; leans back and forth."""
     lean = 0.45 * np.square(v) * np.sin(1.3 * time_s)
     around = 2 * np.pi * u
     return _stack(0.18 * np.cos(around) + lean, 1.4 * v - 0.4 * np.abs(lean), 0.18 * np.sin(around) + 0.5 * lean)
 
 
 def _cloth(u: F64, v: F64, time_s: F64) -> F64:
-    """1.2 x 0.9 m, hangs by an edge, waves run along it."""
+    """1.2 x 0.9 m; hangs by one edge, with waves along it."""
     wave = 0.12 * u * np.sin(7.0 * u - 4.0 * time_s + 2.0 * v)
     return _stack(-1.3 + 0.3 * wave, 0.6 + 0.9 * v, -0.6 + 1.2 * u + 0.0 * v) + _stack(wave, 0.0 * wave, 0.0 * wave)

@@ -1,4 +1,4 @@
-"""The embedded scene: a lit, textured room in which things move, bend, change colour, appear and vanish."""
+"""The embedded scene: a lit, textured room with objects that move, bend, change colour, appear and disappear."""
 
 from cags_encoder.scenes.procedural.scene import ProceduralScene, ProceduralSettings
 

@@ -1,7 +1,7 @@
-"""What does not keep still: a ball, a mobile, curtains, a plant, a picture that changes.
+"""The moving objects: a ball, a mobile, curtains, a plant, a picture that changes.
 
-An actor's patches are placed and divided with the room's, at rest. An :class:`Act` then rewrites the rows of its splats
-for any moment; it works from the resting splats alone, so frames can be made in any order.
+An actor's patches are placed at rest and divided into splats with the room's. An :class:`Act` then rewrites the rows of
+its splats for any time. It uses only the resting splats, so frames can be generated in any order.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ Act: TypeAlias = Callable[[float, Columns], None]
 """Given a time in seconds, rewrites its rows of a frame's columns."""
 
 UNLIT = Finish(gloss=0.5, emission=1.0, detail=2.5)
-"""Rigid things carry their own colour; light is put on where they are at each moment."""
+"""Rigid objects keep their own colour and are lit at their current place."""
 
 
 @dataclass(frozen=True)
 class Actor:
-    """Patches at rest, and how to set them in motion once they have been divided into ``rows``."""
+    """Patches at rest, and their motion once they have been divided into ``rows``."""
 
     patches: list[Patch]
     act: Callable[[Stage], Act]
@@ -47,7 +47,7 @@ class Actor:
 
 @dataclass(frozen=True)
 class Stage:
-    """What an act knows: its rows, its splats' surfaces at rest, and the room's light."""
+    """Context of an act: its rows, its splats' surfaces at rest, and the room's light."""
 
     rows: slice
     surfels: Surfel
@@ -60,12 +60,12 @@ def cast(noise: Noise, rng: np.random.Generator) -> list[Actor]:
     return [_beach_ball(), _ball_shadow(), _mobile(noise), *_curtains(noise), _plant(noise, rng), _screen(noise)]
 
 
-# ---- rigid things ----
+# ---- rigid objects ----
 
 
 @dataclass(frozen=True)
 class _Rigid:
-    """Turns and carries its rows, and lights them anew where they are."""
+    """Rotates and moves its rows, and lights them at their current place."""
 
     stage: Stage
     gloss: float
@@ -84,7 +84,7 @@ class _Rigid:
 
 
 def lit(stage: Stage, rgb: F64, points: F64, normals: F64, gloss: float) -> tuple[F64, F64]:
-    """Harmonics [M, 3], [M, K, 3] of surfaces of colour ``rgb`` as they look under the room's light at ``points``."""
+    """Harmonics [M, 3], [M, K, 3] of surfaces of colour ``rgb`` under the room's light at ``points``."""
     light = stage.light.at_moving(points, normals) + stage.light.sunlight(points, normals)
     sh = np.zeros((len(points), 1 + SH_REST_OF_DEGREE[stage.degree], 3))
     sh[:, 0] = (shown(rgb**2.2 * light) - 0.5) / SH_C0
@@ -98,7 +98,7 @@ _ORBIT, _ORBIT_S, _HOP_S, _HOP = 0.98, 6.0, 0.75, 0.55
 
 
 def _ball_place(time_s: float) -> tuple[float, float, float, float]:
-    """Angle on its round, and position x, y, z, of the ball's centre."""
+    """Angle on the ball's circular path, and position x, y, z of its centre."""
     angle = 2 * np.pi * time_s / _ORBIT_S + 0.6
     hop = (time_s / _HOP_S) % 1.0
     height = BALL_RADIUS + 0.012 + 4 * _HOP * hop * (1 - hop)
@@ -174,12 +174,12 @@ def _mobile(noise: Noise) -> Actor:
     return Actor(patches, partial(_Rigid, gloss=0.45, pivot=(0.0, 0.0, 0.0), path=_mobile_path))
 
 
-# ---- things that bend ----
+# ---- objects that bend ----
 
 
 @dataclass(frozen=True)
 class _Sway:
-    """Leans its rows about a foot, further the higher they are, and flutters the ends."""
+    """Leans its rows about a foot, more with height, and flutters the ends."""
 
     stage: Stage
     foot: Vec3
@@ -263,7 +263,7 @@ def _border(cloth: tex.Pattern, noise: Noise) -> tex.Pattern:
     return pattern
 
 
-# ---- things that change colour ----
+# ---- objects that change colour ----
 
 _TILES = (8, 4)
 _HOLD_S = 0.4
@@ -271,7 +271,7 @@ _HOLD_S = 0.4
 
 @dataclass(frozen=True)
 class _Slides:
-    """A panel of coloured tiles; every tile keeps its colour for a while, so that only some change in a frame."""
+    """A panel of coloured tiles. Tiles keep their colour for a while, so that only some change in a frame."""
 
     stage: Stage
 
@@ -289,14 +289,14 @@ class _Slides:
 
 
 def _from_edge(t: F64) -> F64:
-    """Distance from the nearest whole number."""
+    """Distance from the nearest integer."""
     return np.abs(t - np.round(t))
 
 
 def _screen(noise: Noise) -> Actor:
     corner, width, height = (2.365, 1.30, -0.75), 1.5, 0.75
 
-    def tiles(x: F64, y: F64) -> F64:  # only to share out splats: edges where the tiles have theirs
+    def tiles(x: F64, y: F64) -> F64:  # only for dividing splats: edges as those of the tiles
         edge = np.minimum(_from_edge(x / width * _TILES[0]), _from_edge(y / height * _TILES[1]))
         checker = (np.floor(x / width * _TILES[0]) + np.floor(y / height * _TILES[1])) % 2
         return tex.mix((0.0, 0.0, 0.0), tex.mix((0.9, 0.5, 0.2), (0.2, 0.5, 0.9), checker), tex.step(0.05, edge))

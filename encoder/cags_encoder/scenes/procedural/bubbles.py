@@ -1,4 +1,4 @@
-"""Soap bubbles: things that appear and vanish."""
+"""Soap bubbles: objects that appear and disappear."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _LIFE_S, _PAUSE_S = 1.5, 0.7
 
 
 class Bubbles:
-    """Soap bubbles that leave the vase one by one, rise, and burst; each is a new thing with new identities."""
+    """Soap bubbles that leave the vase one by one, rise, and burst. Each bubble has new identities."""
 
     def __init__(self, count: int, degree: int, light: Lighting) -> None:
         each = max(count // _SLOTS, 8)
@@ -31,7 +31,7 @@ class Bubbles:
 
     @property
     def most(self) -> int:
-        """Most splats of bubbles that a frame can hold."""
+        """Largest number of splats of bubbles in a frame."""
         return _SLOTS * self._each
 
     def ids(self, time_s: float) -> NDArray[np.int64]:
@@ -44,7 +44,7 @@ class Bubbles:
         return Splats.concatenate([self._bubble(slot, life, age) for slot, life, age in self._alive(time_s)])
 
     def _alive(self, time_s: float) -> list[tuple[int, int, float]]:
-        """Slot, number of its life and age (s) of each bubble. Lives are staggered: some are always there."""
+        """Slot, life number and age (s) of each bubble. Lives are staggered, so some bubbles always exist."""
         period = _LIFE_S + _PAUSE_S
         turns = [(slot, time_s / period + slot / _SLOTS) for slot in range(_SLOTS)]
         return [(slot, int(t), (t % 1.0) * period) for slot, t in turns if (t % 1.0) * period < _LIFE_S]

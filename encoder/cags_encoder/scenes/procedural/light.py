@@ -1,6 +1,6 @@
-"""The room's light, baked: sun through the window, sky from the window, a lamp, and light that has bounced about.
+"""The room's light, baked: sun through the window, sky from the window, a lamp, and bounced light.
 
-Irradiance is linear RGB. Occluders are upright boxes and balls; a box or a ball stands for a curved thing.
+Irradiance is linear RGB. Occluders are upright boxes and balls, which also approximate curved objects.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ SUN = np.array([1.0, 0.82, 0.58]) * 3.4
 LAMP = np.array([1.0, 0.66, 0.36]) * 0.55
 AMBIENT = np.array([0.42, 0.40, 0.38])
 BOUNCE = np.array([0.34, 0.25, 0.17])
-"""Sunlight that comes back from the floor, to surfaces that look down or sideways."""
+"""Sunlight reflected by the floor, for surfaces that face down or sideways."""
 
 AMBIENT_REACH = 0.7
-"""Metres within which surfaces darken each other."""
+"""Range of ambient occlusion, metres."""
 
 _LIFT = 0.012
-"""Metres off the surface at which rays begin, so that a surface does not shade itself."""
+"""Distance from the surface at which rays begin, in metres, so that a surface does not shade itself."""
 
 
 @dataclass(frozen=True)
 class Lighting:
-    """The lights and what blocks them."""
+    """The lights and their occluders."""
 
     window: tuple[Vec3, Vec3, Vec3]  # corner, edge, edge of the opening; metres
     panes: tuple[int, int]  # the window's panes along its edges, divided by bars
@@ -38,19 +38,20 @@ class Lighting:
     balls: F64  # [S, 4] centre and radius, metres
 
     def soft(self, points: F64, normals: F64) -> F64:
-        """Smooth part of the irradiance [N, 3] at ``points`` [N, 3] with unit ``normals``: all but the sun."""
+        """Smooth part of the irradiance [N, 3] at ``points`` [N, 3] with unit ``normals``: everything but the sun."""
         ambient = self._openness(points, normals)[:, None]
         from_below = (0.5 - 0.5 * normals[:, 1:2]) + 0.35
         indirect: F64 = ambient * (AMBIENT + BOUNCE * from_below)
         return indirect + SKY * self._sky(points, normals)[:, None] + LAMP * self._lamp(points, normals)[:, None]
 
     def at_moving(self, points: F64, normals: F64) -> F64:
-        """The soft part [N, 3] for things that move: as :meth:`soft`, but nothing stands in the way."""
+        """The soft part [N, 3] for moving objects: like :meth:`soft`, but without occluders."""
         corner, edge_u, edge_v = (np.asarray(v) for v in self.window)
         to = corner + 0.5 * (edge_u + edge_v) - points
         distance = np.linalg.norm(to, axis=1)
         area = float(np.linalg.norm(np.cross(edge_u, edge_v)))
-        wrapped = np.maximum(np.sum(to * normals, axis=1) / distance + 0.2, 0.0) / 1.2  # a wide source reaches round
+        # A wide source also lights surfaces that face slightly away from it.
+        wrapped = np.maximum(np.sum(to * normals, axis=1) / distance + 0.2, 0.0) / 1.2
         sky = wrapped * area / (np.pi * (distance**2 + area / np.pi))
         from_below = (0.5 - 0.5 * normals[:, 1:2]) + 0.35
         soft: F64 = AMBIENT + BOUNCE * from_below + SKY * sky[:, None]
@@ -69,7 +70,7 @@ class Lighting:
         return out[:, None] * SUN
 
     def highlight_axes(self, points: F64, normals: F64) -> tuple[F64, F64]:
-        """Where the window's mirror image is seen: viewing directions [N, 3] (camera to surface), strengths [N]."""
+        """Mirror image of the window: viewing directions [N, 3] (camera to surface) and strengths [N]."""
         corner, edge_u, edge_v = (np.asarray(v) for v in self.window)
         to_light = _unit(corner + 0.5 * (edge_u + edge_v) - points)
         cosine = np.sum(normals * to_light, axis=1)
@@ -77,7 +78,7 @@ class Lighting:
         return -mirrored, np.sqrt(np.maximum(cosine, 0.0))
 
     def _through_panes(self, points: F64) -> F64:
-        """1 where the ray to the sun meets a pane, 0 at the bars and beyond the frame, smooth over their penumbra."""
+        """1 if the ray to the sun passes a pane, 0 at the bars and outside the frame, smooth in the penumbra."""
         corner, edge_u, edge_v = (np.asarray(v) for v in self.window)
         normal = np.cross(edge_u, edge_v)
         toward = float(normal @ np.asarray(self.sun))
@@ -93,7 +94,7 @@ class Lighting:
         return np.asarray(share, np.float64)
 
     def _sky(self, points: F64, normals: F64) -> F64:
-        """Form factor of the window [N], by twelve samples of it."""
+        """Form factor of the window [N], from twelve samples."""
         corner, edge_u, edge_v = (np.asarray(v) for v in self.window)
         face = _unit(np.cross(edge_u, edge_v)[None])[0]
         area = float(np.linalg.norm(np.cross(edge_u, edge_v)))
@@ -112,7 +113,7 @@ class Lighting:
         return form_factor
 
     def _lamp(self, points: F64, normals: F64) -> F64:
-        """Irradiance factor [N] of the lamp: a small ball, softened near by."""
+        """Irradiance factor [N] of the lamp: a small ball, softened at short range."""
         to = np.asarray(self.lamp) - points
         distance = np.linalg.norm(to, axis=1)
         to = to / np.maximum(distance, 1e-6)[:, None]
@@ -122,7 +123,7 @@ class Lighting:
         return factor
 
     def _openness(self, points: F64, normals: F64) -> F64:
-        """Ambient occlusion [N]: how open the hemisphere is, near by, in twenty cosine-weighted directions."""
+        """Ambient occlusion [N]: openness of the hemisphere at short range, in twenty cosine-weighted directions."""
         k = np.arange(20) + 0.5
         radius, azimuth = np.sqrt(k / 20), np.pi * (1 + 5**0.5) * k
         local = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), np.sqrt(1 - radius**2)], axis=1)
@@ -138,11 +139,11 @@ class Lighting:
         return openness
 
     def _clear(self, start: F64, ray: F64, reach: F64 | float) -> NDArray[np.bool_]:
-        """Whether nothing stands within ``reach`` [N] metres along each ray."""
+        """Whether each ray is free for ``reach`` [N] metres."""
         return self._distance(start, ray) >= reach
 
     def _distance(self, start: F64, ray: F64) -> F64:
-        """Distance [N] along unit rays to the nearest occluder, inf where there is none."""
+        """Distance [N] along unit rays to the nearest occluder, inf without one."""
         origin, inverse = np.ascontiguousarray(start.T), 1.0 / np.where(np.abs(ray.T) < 1e-9, 1e-9, ray.T)
         nearest = np.full(len(start), np.inf)
         for low, high in self.boxes:
@@ -161,7 +162,7 @@ class Lighting:
 
 
 def _slab(low: float, high: float, origin: F64, inverse: F64) -> tuple[F64, F64]:
-    """Where rays enter and leave the space between two planes."""
+    """Distances at which rays enter and leave the space between two planes."""
     a, b = (low - origin) * inverse, (high - origin) * inverse
     return np.minimum(a, b), np.maximum(a, b)
 

@@ -17,11 +17,11 @@ Shape: TypeAlias = Callable[[F64, F64], F64]
 
 @dataclass(frozen=True)
 class Finish:
-    """How a surface takes light, and how much it matters."""
+    """How a surface reflects light, and its importance."""
 
     gloss: float = 0.0  # strength of the mirror image of the light, 0..1
-    emission: float = 0.0  # light of its own instead of the room's: a factor of its pattern
-    detail: float = 1.0  # how much its errors count when splats are shared out
+    emission: float = 0.0  # own light instead of the room's, as a factor of its pattern
+    detail: float = 1.0  # weight of its errors when splats are distributed
     opacity: float = 0.99
 
 
@@ -33,7 +33,7 @@ class Patch:
     """One surface."""
 
     shape: Shape
-    size: tuple[float, float]  # metres along u and v: the pattern's range, and the measure of detail
+    size: tuple[float, float]  # metres along u and v: range of the pattern and unit of detail
     pattern: Pattern
     finish: Finish
     cells: tuple[int, int] = (1, 1)  # least number of splats along u and v, for curved shapes
@@ -49,7 +49,7 @@ class Patch:
 
 
 def quad(corner: Vec3, along_u: Vec3, along_v: Vec3, pattern: Pattern, finish: Finish = MATT) -> Patch:
-    """A flat rectangle; its outside is where ``along_u x along_v`` points."""
+    """A flat rectangle whose outside is the direction of ``along_u x along_v``."""
     o, e, f = (np.asarray(vector, np.float64) for vector in (corner, along_u, along_v))
 
     def shape(u: F64, v: F64) -> F64:
@@ -99,7 +99,7 @@ def ball(centre: Vec3, radius: float, pattern: Pattern, finish: Finish = MATT) -
 
 
 def lathe(base: Vec3, profile: list[tuple[float, float]], pattern: Pattern, finish: Finish = MATT) -> Patch:
-    """A profile of (radius, height) points, smooth between them, turned about the vertical through ``base``."""
+    """A profile of (radius, height) points, smooth between them, rotated about the vertical axis through ``base``."""
     points = np.asarray(profile, np.float64)
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     b = np.asarray(base)

@@ -1,4 +1,4 @@
-"""The arrangement: what stands where in the room. Metres, y up, the floor at y = 0, the window on the -x side."""
+"""The arrangement of the room. Metres, y up, the floor at y = 0, the window on the -x side."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SUN = (-0.76, 0.57, 0.30)
 LAMP: Vec3 = (1.95, 1.62, -1.95)
 
 BACKING = Finish(detail=0.04)
-"""For surfaces that are seen only between the splats of others."""
+"""For surfaces that are visible only between the splats of others."""
 
 _BOOKS: tuple[Rgb, ...] = (
     (0.55, 0.13, 0.12), (0.14, 0.25, 0.42), (0.16, 0.36, 0.26), (0.75, 0.62, 0.35), (0.82, 0.78, 0.70),
@@ -29,13 +29,13 @@ _WALNUT: Rgb = (0.42, 0.27, 0.17)
 
 
 def furnish(noise: Noise, rng: np.random.Generator) -> list[Patch]:
-    """Every surface that keeps still."""
+    """All static surfaces."""
     parts = [_shell, _window, _rug, _table, _sofa, _shelf, _sideboard, _pictures, _lamp, _pot]
     return [patch for part in parts for patch in part(noise, rng)]
 
 
 def lighting() -> Lighting:
-    """The room's lights and the coarse shapes that block them."""
+    """The room's lights and coarse occluders."""
     corner = (WINDOW_LOW[0], WINDOW_LOW[1], WINDOW_HIGH[2])
     edges = (0.0, 0.0, WINDOW_LOW[2] - WINDOW_HIGH[2]), (0.0, WINDOW_HIGH[1] - WINDOW_LOW[1], 0.0)
     sun = np.asarray(SUN) / np.linalg.norm(SUN)
@@ -211,7 +211,7 @@ def _books(noise: Noise, rng: np.random.Generator, span: tuple[float, float], y:
     x = span[0]
     while x < span[1] - 0.06:
         width, height, depth = rng.uniform(0.025, 0.06), rng.uniform(0.22, 0.34), rng.uniform(0.18, 0.24)
-        if rng.uniform() < 0.07:  # a gap, as in shelves that are used
+        if rng.uniform() < 0.07:  # a gap, as in a used shelf
             x += 0.12
             continue
         spine = _spine(_BOOKS[int(rng.integers(len(_BOOKS)))], float(rng.uniform(0.2, 0.8)), height)
@@ -222,7 +222,7 @@ def _books(noise: Noise, rng: np.random.Generator, span: tuple[float, float], y:
 
 
 def _spine(rgb: Rgb, label: float, height: float) -> tex.Pattern:
-    """A book's back: two gold lines about a paler label."""
+    """The spine of a book: two gold lines around a paler label."""
 
     def pattern(x: F64, y: F64) -> F64:
         from_label = np.abs(y / height - label)

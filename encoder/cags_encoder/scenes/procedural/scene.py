@@ -19,10 +19,10 @@ from cags_encoder.scenes.procedural.textures import Noise
 from cags_encoder.scenes.source import DEFAULT_FPS, MAX_FRAMES, Focus
 
 MIN_SPLATS = 500
-"""Fewer do not show a room. Below some 5,000 the smallest things are left out."""
+"""With fewer splats no room is recognisable. Below about 5,000 the smallest objects are left out."""
 
 KEPT_SPLATS = 20_000
-"""Layouts of rooms up to this size stay in memory for whoever opens them again."""
+"""Layouts of rooms up to this size are cached in memory."""
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,8 @@ class ProceduralSettings:
     size: int = setting(60_000, "number of splats", low=MIN_SPLATS, high=4_000_000)
     frames: int = setting(60, "number of frames", low=1, high=MAX_FRAMES)
     seed: int = setting(1, "seed of everything random", low=0, high=2**31 - 1)
-    fps: float = setting(DEFAULT_FPS, "frames a second", low=1.0, high=240.0)
-    degree: int = setting(2, "spherical-harmonics degree of glossy things", low=0, high=3)
+    fps: float = setting(DEFAULT_FPS, "frames per second", low=1.0, high=240.0)
+    degree: int = setting(2, "spherical-harmonics degree of glossy objects", low=0, high=3)
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -41,7 +41,7 @@ class ProceduralSettings:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """What stands in a room, and how it is divided into splats. Nothing of it changes."""
+    """Contents of a room and their division into splats; immutable."""
 
     patches: tuple[Patch, ...]
     """Patches of the furniture, then of the actors at rest."""
@@ -50,7 +50,7 @@ class Layout:
 
 
 def layout(seed: int, count: int) -> Layout:
-    """Furnish and light a room of ``count`` splats: a second or two, whatever their number."""
+    """Furnish and light a room of ``count`` splats; takes a second or two for any number."""
     rng = np.random.default_rng(seed)
     noise = Noise(rng)
     patches = furnish(noise, rng)
@@ -60,11 +60,11 @@ def layout(seed: int, count: int) -> Layout:
 
 
 kept_layout = lru_cache(maxsize=8)(layout)
-"""As :func:`layout`: clips of one room share it."""
+""":func:`layout` with a cache, so that clips of one room share it."""
 
 
 class ProceduralScene:
-    """A room of 4.8 x 2.6 x 4.8 m, y up. The same settings give the same frames, bit by bit."""
+    """A room of 4.8 x 2.6 x 4.8 m, y up. The same settings give bit-identical frames."""
 
     def __init__(self, settings: ProceduralSettings) -> None:
         self._settings, light = settings, lighting()
@@ -85,7 +85,7 @@ class ProceduralScene:
 
     @property
     def fps(self) -> float:
-        """Frames a second."""
+        """Frames per second."""
         return self._settings.fps
 
     @property
@@ -95,14 +95,14 @@ class ProceduralScene:
 
     @property
     def focus(self) -> Focus:
-        """The table in the middle; at 2.5 radii one still stands inside the room."""
+        """The table in the centre; 2.5 radii are still inside the room."""
         return Focus((0.0, 0.95, 0.0), 0.85)
 
     def __len__(self) -> int:
         return self._settings.frames
 
     def frame(self, index: int) -> Splats:
-        """The room at ``index / fps`` seconds: all splats that stay, then the bubbles of that moment."""
+        """The room at ``index / fps`` seconds: all permanent splats, then the bubbles at that time."""
         time_s = self._time(index)
         columns = {name: array.copy() for name, array in self._rest.arrays()}
         for act in self._acts:
@@ -110,7 +110,7 @@ class ProceduralScene:
         return Splats.concatenate([Splats(**columns), self._bubbles.splats(time_s)]).checked("procedural")
 
     def ids(self, index: int) -> Ids:
-        """Rows of all that stays, then a new identity for every bubble that is ever blown."""
+        """Rows of the permanent splats, then unique identities for the bubbles."""
         bubbles = self._bubbles.ids(self._time(index)) + len(self._rest)
         return np.concatenate([np.arange(len(self._rest)), bubbles]).astype(np.int32)
 

@@ -1,4 +1,4 @@
-"""Patches to splats: surfaces are divided where their colour varies most, until every splat has its cell.
+"""Converts patches to splats: surfaces are divided where their colour varies most, until every splat has a cell.
 
 The division is greedy over all surfaces at once: each round halves the cells of the greatest error (colour variance
 times area) along the side that lowers it more, so edges get small, elongated splats and plain walls get large ones.
@@ -22,34 +22,34 @@ Ints = NDArray[np.int64]
 
 TEXELS_PER_SPLAT = 8
 FLAT = 0.0012
-"""Colour variance that even a plain surface is taken to have, so that it is divided too."""
+"""Least colour variance of a surface, so that plain surfaces are divided too."""
 
 FINE = 0.12
-"""Share of the variance that division would leave which still counts."""
+"""Weight of the variance that remains after a division."""
 
 EDGE = 0.02
-"""Colour variance that the end of a surface counts for: splats there must be small not to stick out."""
+"""Additional variance at the end of a surface, where splats must be small so as not to stick out."""
 
 SIGMA = 0.50
-"""Standard deviation of a splat in widths of its cell: enough overlap to look solid, little enough to stay sharp."""
+"""Standard deviation of a splat in widths of its cell: large enough to look solid, small enough to stay sharp."""
 
 SHARPEN = 0.7
 """Share of the difference from the surroundings that is added to a splat's colour."""
 
 MAX_ASPECT = 4.0
 ROUND_FROM = 12_000
-"""From this many splats on, curved things get all the cells that they ask for."""
+"""With at least this many splats, curved objects get all the cells that they need."""
 
 LIGHTMAP_M = 0.13
 """Spacing of the points at which soft light is computed, metres."""
 
 SHARPNESS = 24.0
-"""Exponent of the highlight before it is cut off at the SH degree."""
+"""Exponent of the highlight before truncation at the SH degree."""
 
 
 @dataclass(frozen=True)
 class Surfel:
-    """Cells of all patches as arrays of N rows: what splats are made of."""
+    """Cells of all patches as arrays of N rows, from which splats are made."""
 
     patch: Ints  # [N]
     points: F64  # [N, 3] metres
@@ -81,7 +81,7 @@ class _Grid:
 
 
 def _soft_light(patches: list[Patch], light: Lighting) -> list[F64]:
-    """The soft part of each patch's light on a coarse grid [h, w, 3]; all patches in one go."""
+    """The soft part of each patch's light on a coarse grid [h, w, 3], for all patches together."""
     shapes, points, normals = [], [], []
     for patch in patches:
         width, height = (max(2, round(size / LIGHTMAP_M)) for size in patch.size)
@@ -127,15 +127,15 @@ class _Cells:
     def colours(self, cells: Ints) -> F64:
         """Colours [N, 3] for splats at ``cells`` [N, 5]: patch, left, top, right, bottom.
 
-        The mean over the cell, moved away from the mean around it: splats overlap and would blur it otherwise.
+        The mean over the cell, moved away from the mean of its surroundings, because overlapping splats blur.
         """
         mean = self._moments(cells)[:, :3]
         return np.clip(mean + SHARPEN * (mean - self._moments(self._grown(cells))[:, :3]), 0.0, 1.0)
 
     def errors(self, cells: Ints) -> F64:
-        """What dividing a cell is worth: the variance that goes, and a little of what stays, times area and detail.
+        """Gain of dividing each cell: the variance removed, and a little of the rest, times area and detail.
 
-        Variance that stays is texture too fine for any splat; that around the cell grades the sizes of neighbours.
+        The remaining variance is texture too fine for any splat. The variance around the cell grades neighbours' sizes.
         """
         around = self._variance(self._grown(cells))
         left = np.minimum(*(self._left(cells, axis) for axis in (0, 1)))
@@ -152,7 +152,7 @@ class _Cells:
         return left
 
     def _grown(self, cells: Ints) -> Ints:
-        """``cells`` with half their width more on each side, within their patches."""
+        """``cells`` extended by half their width on each side, within their patches."""
         grown = cells.copy()
         margin = (cells[:, 3:] - cells[:, 1:3] + 1) // 2
         limit = np.stack([self.widths, self.heights], axis=1)[cells[:, 0]]
@@ -161,12 +161,12 @@ class _Cells:
         return grown
 
     def areas(self, cells: Ints) -> F64:
-        """Square metres of each cell."""
+        """Area of each cell, square metres."""
         areas: F64 = self.sides(cells).prod(axis=1)
         return areas
 
     def sides(self, cells: Ints) -> F64:
-        """Metres [N, 2] along u and v."""
+        """Extent [N, 2] along u and v, metres."""
         sides: F64 = (cells[:, 3:] - cells[:, 1:3]) * self._texel[cells[:, 0]]
         return sides
 
@@ -208,7 +208,7 @@ def _cut(cells: Ints, axis: int) -> tuple[Ints, Ints]:
 
 
 def divide(patches: list[Patch], count: int, light: Lighting) -> Surfel:
-    """Exactly ``count`` cells over ``patches``; where that is too few for all, the smallest patches get none."""
+    """Exactly ``count`` cells over ``patches``; if that is too few for all, the smallest patches get none."""
     table = _Cells(patches, count, light)
     starts = [_start(k, p, table, min(1.0, np.sqrt(count / ROUND_FROM))) for k, p in enumerate(patches)]
     weight = np.array([p.size[0] * p.size[1] * p.finish.detail for p in patches])
@@ -232,7 +232,7 @@ def divide(patches: list[Patch], count: int, light: Lighting) -> Surfel:
 
 
 def _start(index: int, patch: Patch, table: _Cells, share: float) -> Ints:
-    """The first cells of a patch: as many as its curvature asks for, or a ``share`` of it along either side."""
+    """The first cells of a patch: as many as its curvature needs, or a ``share`` of them along each side."""
     columns, rows = (max(min(n, 3), round(share * n)) for n in patch.cells)
     x = np.round(np.linspace(0, table.widths[index], columns + 1)).astype(np.int64)
     y = np.round(np.linspace(0, table.heights[index], rows + 1)).astype(np.int64)
@@ -256,7 +256,7 @@ def _surfels(patches: list[Patch], table: _Cells, cells: Ints) -> Surfel:
 
 
 def splats_of(patches: list[Patch], surfels: Surfel, light: Lighting, degree: int) -> Splats:
-    """Splats of ``surfels``: flat, along their cells, with the window's mirror image where the finish is glossy."""
+    """Splats of ``surfels``: flat, along their cells, with the window's mirror image if the finish is glossy."""
     finish = [patch.finish for patch in patches]
     gloss = np.array([f.gloss for f in finish])[surfels.patch]
     opacity = np.array([f.opacity for f in finish])[surfels.patch]

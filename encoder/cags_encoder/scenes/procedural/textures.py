@@ -1,6 +1,6 @@
-"""Surface patterns as functions of metres on the surface: any resolution, no files.
+"""Surface patterns as functions of surface coordinates in metres: any resolution, no files.
 
-Every pattern takes coordinates ``x, y`` [...] in metres and gives display-referred RGB [..., 3] in 0..1.
+Every pattern takes coordinates ``x, y`` [...] in metres and returns display-referred RGB [..., 3] in 0..1.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Noise:
         self._table: F64 = rng.uniform(0.0, 1.0, (_TABLE, _TABLE))
 
     def cell(self, i: F64, j: F64) -> F64:
-        """A value in 0..1 for each pair of whole numbers."""
+        """A value in 0..1 for each pair of integers."""
         return self._at(np.asarray(i).astype(np.int64), np.asarray(j).astype(np.int64))
 
     def value(self, x: F64, y: F64, size: float) -> F64:
@@ -39,7 +39,7 @@ class Noise:
         return low * (1 - v) + (self._at(i, j + 1) * (1 - u) + self._at(i + 1, j + 1) * u) * v
 
     def fractal(self, x: F64, y: F64, size: float, octaves: int = 4) -> F64:
-        """Noise in 0..1 at ``size`` and, ever weaker, at halves of it."""
+        """Noise in 0..1 at ``size`` and, with decreasing strength, at repeated halves of it."""
         total, weight = np.zeros(np.broadcast(x, y).shape), 0.0
         for octave in range(octaves):
             total = total + 0.5**octave * self.value(x + 17.3 * octave, y - 9.1 * octave, size / 2**octave)
@@ -63,13 +63,13 @@ def step(edge: float, x: F64, width: float = 0.02) -> F64:
 
 
 def mix(a: F64 | Rgb, b: F64 | Rgb, t: F64) -> F64:
-    """``a`` where ``t`` is 0, ``b`` where it is 1."""
+    """``a`` for ``t`` = 0, ``b`` for 1."""
     mixed: F64 = np.asarray(a) + (np.asarray(b) - np.asarray(a)) * np.asarray(t)[..., None]
     return mixed
 
 
 def plain(rgb: Rgb, noise: Noise, grain: float = 0.04) -> Pattern:
-    """One colour with faint irregularities, as plaster or painted wood."""
+    """One colour with faint irregularities, like plaster or painted wood."""
     return lambda x, y: np.asarray(rgb) * (1.0 + grain * (2.0 * noise.fractal(x, y, 0.35, 5) - 1.0))[..., None]
 
 
@@ -101,7 +101,7 @@ def planks(noise: Noise, length: float = 1.15, width: float = 0.15) -> Pattern:
 
 
 def _edge(t: F64) -> F64:
-    """Distance from the nearest whole number."""
+    """Distance from the nearest integer."""
     return np.abs(t - np.round(t))
 
 

@@ -94,7 +94,7 @@ def test_a_port_where_a_command_of_ours_answers_is_well(path: str, body: bytes) 
         threading.Thread(target=running.serve_forever, daemon=True).start()
         found = machine.free_port(running.server_port, "cags-server")
         running.shutdown()
-    assert (found.verdict, found.found) == (Verdict.OK, "cags-stream runs there (default of cags-server)")
+    assert (found.verdict, found.found) == (Verdict.OK, "used by cags-stream (default of cags-server)")
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_a_stranger_on_a_port_is_none_of_ours(answer: bytes) -> None:
 
 def test_a_busy_machine_is_noted_before_it_is_measured() -> None:
     assert machine.load(0.3, 2).verdict is Verdict.OK
-    assert "when it rests" in machine.load(1.9, 2).remedy
+    assert "when the machine is idle" in machine.load(1.9, 2).remedy
 
 
 def test_no_browser_is_no_obstacle() -> None:
@@ -138,7 +138,7 @@ def test_kernels_of_another_version_are_missing(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(parts, "version", {"cags-stream": "0.2.0", "cags-kernels": "0.1.0"}.__getitem__)
     found = parts.kernels()
     assert found.verdict is Verdict.MISSING
-    assert "0.1.0, where cags-stream is 0.2.0" in found.found
+    assert "0.1.0, but cags-stream has version 0.2.0" in found.found
 
 
 def test_a_part_that_fails_is_a_finding_with_a_remedy() -> None:
@@ -158,12 +158,12 @@ def timed(*totals: tuple[int, float, float]) -> Timings:
 def test_the_largest_picture_that_is_drawn_and_corrected_in_time_is_recommended() -> None:
     best = advise(timed((400, 3, 10), (640, 12, 20), (800, 19, 28), (1600, 70, 90)))
     assert best.client == "--width 640 --height 480 --resolution full --threads 2"
-    assert "a frame takes 12 ms, one that is corrected 32" in best.reason
+    assert "a frame takes 12 ms, a corrected frame 32 ms" in best.reason
     slow = advise(timed((400, 18, 40), (800, 30, 50)))
     assert slow.client == "--width 400 --height 300 --resolution auto --threads 2"
     hopeless = advise(timed((320, 900, 20)))
     assert "--restore none --exactness fast" in hopeless.client
-    assert "out of reach" in hopeless.reason
+    assert "too slow for 30 frames per second" in hopeless.reason
 
 
 def test_every_stage_of_a_frame_and_of_a_reference_is_timed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -280,7 +280,7 @@ def test_where_there_is_one_what_is_recommended_is_for_it() -> None:
     best = advise(replace(cpu, reference_ms=90, sizes=sizes, adapter="a card", gpu_reference_ms=2.0))
     assert best.client == "--width 1600 --height 1200 --resolution full --threads 2"
     assert best.server == "--render-threads 2"
-    assert "on the GPU a frame takes 1 ms, one that is corrected 2" in best.reason
+    assert "on the GPU a frame takes 1 ms, a corrected frame 2 ms" in best.reason
 
 
 def test_without_one_the_reason_is_noted_and_nothing_is_timed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,4 +16,4 @@ def test_motion_compares_tracks_with_splats_sent_whole(tmp_path: Path, capsys: p
     *_, summary = lines_of(capsys, "motion", *scene, *small)
     checks = {check["name"].rpartition(": ")[2]: check for check in summary["checks"]}  # type: ignore[attr-defined]
     assert checks["times fewer bytes"]["value"] > 1
-    assert checks["rows that differ and are not told of"]["ok"]
+    assert checks["rows that differ and are not reported"]["ok"]

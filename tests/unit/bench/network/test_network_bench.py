@@ -168,7 +168,7 @@ def test_a_session_trace_is_drawn(tmp_path):
         pair.run(2_000_000)
     assert plot_session(path).read_bytes().startswith(b"\x89PNG")
     path.write_text("{}\n")
-    with pytest.raises(TraceError, match="is no event trace"):
+    with pytest.raises(TraceError, match="is not an event trace"):
         plot_session(path)
     with pytest.raises(TraceError, match=r"gone.jsonl: cannot be read \(No such file.*--event-traces"):
         plot_session(tmp_path / "gone.jsonl")

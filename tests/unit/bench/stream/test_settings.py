@@ -81,9 +81,9 @@ def test_any_setting_can_be_changed_by_name(name: str, text: str, found) -> None
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("speed", "1", "'speed' is no setting of a play; known: abr, align"),
-        ("compare", "a", "'compare' is no setting of a play; known: abr, align"),
-        ("record", "film.mp4", "'record' is no setting of a play; known: abr, align"),
+        ("speed", "1", "'speed' is not a setting of a play; known: abr, align"),
+        ("compare", "a", "'compare' is not a setting of a play; known: abr, align"),
+        ("record", "film.mp4", "'record' is not a setting of a play; known: abr, align"),
         ("estimator", "psychic", "estimator = 'psychic' must be one of measured, oracle"),
         ("tiles_ahead", "many", "tiles_ahead = 'many' must be of type int"),
         ("tiles_ahead", "99", r"tiles_ahead = 99 must lie in \[1, 30\]"),
@@ -117,9 +117,9 @@ def test_unknown_names_are_refused_before_anything_is_encoded(name: str, value: 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"strip": 3}, "strip = 3 has no place to go; name a folder with --out"),
+        ({"strip": 3}, "strip = 3 needs a folder; give --out FOLDER"),
         ({"record": "film.avi"}, r"record = 'film\.avi' must end in \.mp4"),
-        ({"record_truth": True}, "record_truth = True has no film to go with"),
+        ({"record_truth": True}, "record_truth = True needs a film"),
         ({"video_metrics": "psnr"}, "video_metrics: 'psnr' is unknown"),
     ],
 )

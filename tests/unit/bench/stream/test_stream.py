@@ -71,14 +71,14 @@ def test_a_published_folder_is_compared_with_its_top_level(
     assert line["psnr_distorted_db"] > only(replace(settings, trace="generated:steady-60"))["psnr_distorted_db"] + 3
     said = io.StringIO()
     print_plays([line], said)
-    assert "picture, against the bundle's top level" in said.getvalue()
+    assert "picture, compared with the bundle's top level" in said.getvalue()
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"frames": FRAMES + 1}, f"frames = {FRAMES + 1}: .* has {FRAMES}; ask for fewer"),
-        ({"quantiser": "paper-66"}, "quantiser = 'paper-66': .* is encoded; leave it out"),
+        ({"frames": FRAMES + 1}, f"frames = {FRAMES + 1}: .* has {FRAMES}; give fewer"),
+        ({"quantiser": "paper-66"}, "quantiser = 'paper-66': .* is encoded already; leave it out"),
     ],
 )
 def test_what_a_bundle_cannot_give_is_refused(settings: StreamSettings, changes: dict, message: str) -> None:
@@ -139,7 +139,7 @@ def test_a_state_compared_with_its_equal_shows_no_difference(settings: StreamSet
 
 @pytest.mark.parametrize("text", ["abr", "abr=", "abr=paper", "abr=paper,", "abr=paper,paper", "abr=a,b,c"])
 def test_a_comparison_needs_two_values(settings: StreamSettings, text: str) -> None:
-    with pytest.raises(ConfigError, match=r"compare = .* must be NAME=A,B with two values, such as abr=paper,utility"):
+    with pytest.raises(ConfigError, match=r"compare = .* must be NAME=A,B with two values, like abr=paper,utility"):
         next(stream_lines(replace(settings, compare=text)))
 
 
@@ -195,7 +195,7 @@ def test_people_get_a_row_a_play_and_a_line_a_difference(settings: StreamSetting
             if r.lstrip().startswith(f"{play['case']}, seed {play['seed']}") and f"{play['psnr_restored_db']:.2f}" in r
         ]
         assert f"{play['flicker_restored']:.2f}" in row
-    assert "auto less none: mean over 2 seeds" in text
+    assert "auto minus none: mean over 2 seeds" in text
     assert any("references [MB]" in row and "more" in row for row in text.splitlines())
     assert max(len(row) for row in text.splitlines()) <= 130
 
@@ -213,7 +213,7 @@ def test_people_are_told_which_extra_gives_a_missing_figure(
 
 def test_the_command_names_what_is_unknown(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["stream", "--compare", "speed=1,2"]) == 2
-    assert capsys.readouterr().err.startswith("cags-bench: compare: 'speed' is no setting of a play; known: abr,")
+    assert capsys.readouterr().err.startswith("cags-bench: compare: 'speed' is not a setting of a play; known: abr,")
 
 
 # ----------------------------------------------------------------------------------------------- what is written

@@ -167,6 +167,36 @@ def test_while_a_reference_is_late_what_is_shown_stays_and_not_for_ever(
     assert stage.show(2, pose).lod_mean > 0
 
 
+def test_a_reference_that_came_after_its_frame_is_shown_with_what_it_assumes(reader: BundleReader) -> None:
+    """On a slow link or beside a slow server each reference may come a frame late."""
+    stage, pose = Stage(reader), walk(reader)
+    stage.send(0)
+    stage.refer(0, pose)
+    stage.show(0, pose)
+    stage.send(0, reader.manifest.lods, first=1)
+    stage.send(1, reader.manifest.lods)
+    assert stage.show(1, pose).lod_mean == 0
+    stage.refer(1, pose)
+    shown = stage.show(2, pose)
+    assert shown.reference is not None
+    assert shown.reference.frame == 1
+    assert shown.lod_mean > 0
+
+
+def test_while_a_reference_is_late_one_that_says_nothing_holds_nothing_back(reader: BundleReader) -> None:
+    """The demo's fourth frame stood still at its start, for a reference without content."""
+    stage, pose = Stage(reader), walk(reader)
+    stage.send(0)
+    stage.refer(0, pose, NOTHING)
+    assert stage.show(0, pose).lod_mean == 0
+    stage.send(0, reader.manifest.lods, first=1)
+    stage.send(1, reader.manifest.lods)
+    stage.mark()
+    shown = stage.show(1, pose)
+    assert not shown.missed
+    assert shown.lod_mean > 0
+
+
 class CountingScene:
     """Counts how often a scene is drawn from a reference's camera."""
 

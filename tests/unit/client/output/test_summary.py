@@ -49,6 +49,14 @@ def test_what_went_wrong_is_told_only_where_it_did() -> None:
     assert found["damaged"] == "3 payloads did not decode; key pictures asked for: 2"
 
 
+def test_what_a_play_was_short_of_is_told_where_it_was() -> None:
+    assert "short of" not in words(frames_dropped=12, frames_missed=9)
+    assert words(frames_dropped=38, frames_missed=19)["short of"] == (
+        "this machine: 50 % of the frames skipped, being late; "
+        "link or server: 50 % of the pictures without all of their data"
+    )
+
+
 def test_the_picture_is_told_where_the_truth_is_known() -> None:
     scores = {"psnr_distorted_db": 32.94, "psnr_restored_db": 33.39, "ssim_distorted": 0.9669, "ssim_restored": 0.9692}
     assert words(**scores)["picture"] == (

@@ -1,4 +1,4 @@
-"""The author's view: put into a bundle when it is encoded, or later."""
+"""The author's view, stored in a bundle during or after encoding."""
 
 from __future__ import annotations
 
@@ -44,5 +44,5 @@ def test_a_wrong_view_stops_before_the_work(tmp_path: Path, capsys: pytest.Captu
     assert main(["procedural:size=500,frames=1", str(tmp_path / "a"), "--view", view]) == 2
     assert "radius = -1 must be a number" in capsys.readouterr().err
     assert main(["--set-view", str(tmp_path / "a"), view, "--view", view]) == 2
-    assert "--set-view leaves it out" in capsys.readouterr().err
+    assert "leave it out with --set-view" in capsys.readouterr().err
     assert not (tmp_path / "a").exists()

@@ -1,4 +1,4 @@
-"""--inspect, --verify and --export, as the command gives them."""
+"""The output of --inspect, --verify and --export."""
 
 import json
 import shutil
@@ -51,9 +51,9 @@ def test_inspect_says_what_is_there(bundle: Path, capsys: pytest.CaptureFixture[
     assert text.count("\n") > manifest.lods
     assert (found["tracks"]["frames"], found["tracks"]["tracks"], found["tracks"]["linked_share"]) == (3, 600, 1.0)
     assert "tracks: 600, seen in 3.0 frames on average; 100.0% of a frame's splats continue" in text
-    assert "lives in frames: 2+: 600" in text
+    assert "lifetimes in frames: 2+: 600" in text
     shift = found["tracks"]["changed"]["position"]
-    assert 0.04 < shift <= 1 / 12  # a sixth moves in one of two frames, some of it too faint to be seen
+    assert 0.04 < shift <= 1 / 12  # a sixth moves in one of two frames; part of it is too faint to be visible
     assert f"position {shift:.1%}, rotation 0.0%, scale 0.0%" in text
 
 
@@ -84,7 +84,7 @@ def test_a_plot_is_drawn(bundle: Path, name: str, tmp_path: Path, capsys: pytest
 
 
 def test_a_whole_bundle_verifies(bundle: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "whole: 3 frames" in said(capsys, "--verify", str(bundle))
+    assert "intact: 3 frames" in said(capsys, "--verify", str(bundle))
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_a_flipped_bit_is_found_and_its_place_named(
     (broken / file).write_bytes(data)
     assert main(["--verify", str(broken)]) == 1
     error = capsys.readouterr().err
-    lines = [line for line in error.splitlines() if line.strip()]  # the progress bar leaves an empty one
+    lines = [line for line in error.splitlines() if line.strip()]  # the progress bar prints an empty line
     assert len(lines) == 1 and named in lines[0] and str(broken) in lines[0]
 
 
@@ -138,7 +138,7 @@ def test_export_for_an_independent_reader(bundle: Path, tmp_path: Path, capsys: 
         (["--export", "B", "0:99", "o.ply"], 1, "LoD 99 is outside"),
         (["--export", "B", "0", "o.glb"], 1, "'.glb' is unknown"),
         (["--verify", "nowhere"], 1, "no such folder"),
-        (["--inspect", "B", "scene.ply"], 2, "takes no scene"),
+        (["--inspect", "B", "scene.ply"], 2, "takes no SCENE"),
         (["--plot", "x.png", "a", "b"], 2, "--inspect BUNDLE"),
         (["only-a-scene"], 2, "SCENE and OUT are needed"),
     ],

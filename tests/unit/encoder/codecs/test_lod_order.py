@@ -1,4 +1,4 @@
-"""Linear LoD orders: the paper's, and those that files say."""
+"""LoD orders: the paper's, and those read from files."""
 
 from __future__ import annotations
 

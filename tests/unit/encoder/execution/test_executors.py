@@ -1,4 +1,4 @@
-"""Tasks in order, few ahead, wherever they run; a dead worker is one line."""
+"""Tasks run in order with few ahead, on any workers; a dead worker gives a one-line error."""
 
 import os
 import pickle
@@ -44,7 +44,7 @@ def test_a_pool_keeps_order_bounds_what_is_in_flight_and_passes_errors_on() -> N
             assert len(drawn) <= done + AHEAD * 2
         with pytest.raises(SceneError, match=r"^/nowhere\.ply: no such file"):
             list(ahead(workers, open_scene, ["/nowhere.ply"], lambda spec: (spec,)))
-        with pytest.raises(BundleError, match=r"a worker process died.*it continues"):
+        with pytest.raises(BundleError, match=r"a worker process died.*to continue"):
             list(ahead(workers, os._exit, [3], lambda k: (k,)))
 
 

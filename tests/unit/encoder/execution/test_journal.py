@@ -1,4 +1,4 @@
-"""Records of finished frames come back as they were, and only to the run that they belong to."""
+"""Records of finished frames are read back unchanged, and only by the run that they belong to."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Progress where stderr is no terminal."""
+"""Progress if stderr is not a terminal."""
 
 import io
 

@@ -1,4 +1,4 @@
-"""Files that claim much: what reading them takes is measured, in a process of its own, and stays within a budget."""
+"""Files with large claims: the memory to read them, measured in a separate process, stays within a budget."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
 
 
 def peak_mb(path: Path) -> tuple[str, float]:
-    """What opening a scene says, and the memory that it takes at most."""
+    """Result of opening a scene, and the peak memory."""
     command = [sys.executable, "-c", MEASURE, str(path)]
     lines = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout.splitlines()
     return " ".join(lines[:-1]), float(lines[-1])
 
 
 def npz(path: Path, sizes: dict[str, tuple[int, ...]]) -> None:
-    """An archive of zeros, deflated a piece at a time."""
+    """A deflated archive of zeros, written piece by piece."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, shape in sizes.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
@@ -63,7 +63,7 @@ def test_all_that_an_archive_inflates_to_is_bounded(tmp_path: Path) -> None:
     npz(tmp_path / "params.npz", {"a": (half // 4 // 3, 3)})
     archive = NpzArrays(tmp_path / "params.npz")
     archive._inflated_bytes = half + 1024
-    with pytest.raises(SceneError, match=r"inflates to over 1073741824 bytes; save it without compression"):
+    with pytest.raises(SceneError, match=r"inflate to over 1073741824 bytes; save the file without compression"):
         archive.array("a", 3)
 
 
@@ -87,7 +87,7 @@ def test_ten_million_splats_in_a_few_bytes_are_refused_at_once(tmp_path: Path) -
     header = HEADER.pack(MAGIC, 3, 10_000_000, 0, 12, 0, 0)
     claims = gzip.compress(header + bytes(20 * 10_000_000), compresslevel=1)
     begun = time.perf_counter()
-    with pytest.raises(SceneError, match=r"x\.spz: claims 10000000 splats in \d+ bytes, which hold far fewer"):
+    with pytest.raises(SceneError, match=r"x\.spz: claims 10000000 splats in \d+ bytes, too few for that many"):
         parse_spz(claims, "x.spz")
     assert time.perf_counter() - begun < 1.0
     assert len(parse_spz(spz_bytes(random_splats(50)), "y.spz")) == 50

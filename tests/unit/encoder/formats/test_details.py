@@ -1,4 +1,4 @@
-"""Corners of single formats: what real files hold that tidy ones do not."""
+"""Special cases of single formats, as found in real files."""
 
 import json
 import struct
@@ -58,8 +58,8 @@ def test_ply_of_text_with_another_element_after_it() -> None:
     ("rows", "word"),
     [
         (TEXT_ROWS[:1], "cut short"),
-        ([TEXT_ROWS[0], TEXT_ROWS[1] + " 9"], "is not rows of numbers"),
-        ([TEXT_ROWS[0], TEXT_ROWS[1].replace("5", "five", 1)], "is not rows of numbers"),
+        ([TEXT_ROWS[0], TEXT_ROWS[1] + " 9"], "does not consist of rows of numbers"),
+        ([TEXT_ROWS[0], TEXT_ROWS[1].replace("5", "five", 1)], "does not consist of rows of numbers"),
         ([TEXT_ROWS[0], TEXT_ROWS[1].replace("4e0", "nan")], r"means\[1\]"),
         ([], "cut short"),
         (["1 2", "3 4", "5 6", *["# " + 30 * "-"] * 2], "not 2 rows of 14 numbers"),
@@ -94,7 +94,7 @@ def test_splat_with_zero_scale_zero_rotation_and_full_opacity() -> None:
 
 
 def test_compressed_ply_without_colour_bounds() -> None:
-    """Files of the first versions: colours span 0..1."""
+    """Files of early versions, in which colours span 0..1."""
     data = compressed_ply_bytes(random_splats(40, 0))
     header, body = data.split(b"end_header\n", 1)
     kept = b"".join(line + b"\n" for line in header.splitlines() if not line.endswith((b"_r", b"_g", b"_b")))
@@ -116,7 +116,7 @@ def test_spz_of_older_versions(version: int) -> None:
 
 
 def test_sog_of_version_1() -> None:
-    """The same images under linear ranges."""
+    """The same images with linear ranges."""
     files = zip_files(sog_bytes(SPLATS))
     meta = json.loads(files["meta.json"])
     old = {

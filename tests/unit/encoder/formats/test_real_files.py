@@ -1,4 +1,4 @@
-"""Every importer reads its format's real file. Skipped where the shared data is absent."""
+"""Every importer reads a real file of its format. Skipped if the shared data is missing."""
 
 import gsply
 import numpy as np

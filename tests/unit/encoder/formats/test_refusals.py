@@ -1,4 +1,4 @@
-"""What cannot be read is refused in one line that names the file and the fault."""
+"""Unreadable files are refused in one line that names the file and the fault."""
 
 import struct
 from pathlib import Path
@@ -82,7 +82,7 @@ def test_nan_is_named_by_attribute_and_row(attribute: str) -> None:
     ("old", "new", "word"),
     [
         (b"format binary_little_endian", b"format binary_middle_endian", "'binary_middle_endian'"),
-        (b"format binary_little_endian", b"format ascii", "is not rows of numbers"),
+        (b"format binary_little_endian", b"format ascii", "does not consist of rows of numbers"),
         (b"element vertex 40", b"element vertex 0", "no splats"),
         (b"element vertex 40", b"element vertex 999999999999", str(MAX_SPLATS)),
         (b"element vertex 40", b"element vertex 41", "cut short"),
@@ -91,7 +91,7 @@ def test_nan_is_named_by_attribute_and_row(attribute: str) -> None:
         (b"property float opacity", b"property float opacitx", "'opacity'"),
         (b"property float opacity", b"property list uchar int opacity", "property list"),
         (b"property float opacity", b"property quad opacity", "property quad"),
-        (b"property float x", b"property float y", "'y' is given twice"),
+        (b"property float x", b"property float y", "'y' appears twice"),
         (b"property float f_rest_8\n", b"", "8 f_rest properties"),
         (b"property float f_rest_8\n", b"property float f_rest_9\n", "'f_rest_8'"),
         (b"end_header", b"end_footer", "end_header"),
@@ -120,7 +120,7 @@ def test_compressed_ply_headers(old: bytes, new: bytes, word: str) -> None:
 @pytest.mark.parametrize(
     ("data", "word"),
     [
-        (spz_header(magic=1), "no SPZ"),
+        (spz_header(magic=1), "not SPZ"),
         (spz_header(version=0), "version 0"),
         (spz_header(version=9), "version 9"),
         (spz_header(degree=4), "SH degree 4"),
@@ -190,7 +190,7 @@ def test_a_zip_of_many_files_is_no_bundle() -> None:
 
 def test_deflate_bombs_stop_at_their_bound() -> None:
     refuses("spz", gzipped(spz_header(count=1_000_000) + bytes(1 << 20)), "cut short")
-    refuses("spz", gzipped(spz_header(count=20_000_000) + bytes(1 << 20)), "hold far fewer")
+    refuses("spz", gzipped(spz_header(count=20_000_000) + bytes(1 << 20)), "too few for that many")
 
 
 def write_unbundled(folder: Path, sog: bytes) -> None:

@@ -1,4 +1,4 @@
-"""Splats that cannot be drawn: refused by name, or left out by name."""
+"""Splats that cannot be drawn are refused with their name, or left out and counted."""
 
 import logging
 from pathlib import Path
@@ -18,7 +18,7 @@ BROKEN = (3, 7, 11, 20)
 
 
 def broken(splats: Splats) -> Splats:
-    """NaN, infinities and a rotation without direction in four rows; an infinite logit, which is legal, in another."""
+    """NaN, infinities and a zero-length rotation in four rows; a legal infinite logit in another."""
     means, scales, quats, logits = (
         getattr(splats, name).copy() for name in ("means", "log_scales", "quats", "logit_opacities")
     )
@@ -73,5 +73,5 @@ def test_an_archive_over_time(tmp_path: Path) -> None:
 
 def test_a_file_of_nothing_else_is_refused() -> None:
     nothing = with_changes(cloud(5), means=np.full((5, 3), np.nan))
-    with pytest.raises(SceneError, match="none of its 5 splats can be drawn"):
+    with pytest.raises(SceneError, match="all of its 5 splats have invalid values"):
         DropBroken()(nothing, "x")

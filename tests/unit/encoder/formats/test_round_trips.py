@@ -1,4 +1,4 @@
-"""Every importer reads a written file back within the step of its format's quantisation."""
+"""Every importer reads a written file back, within the quantisation step of its format."""
 
 from pathlib import Path
 

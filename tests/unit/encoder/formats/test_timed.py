@@ -1,4 +1,4 @@
-"""Splats over time: what files say of them, and what they are at a time."""
+"""Splats over time: parsing of files, and states at a time."""
 
 import struct
 from dataclasses import replace
@@ -99,11 +99,11 @@ def test_an_empty_moment_is_held_by_the_brightest() -> None:
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (b"", "is no .splatv file"),
-        (struct.pack("<II", 7, 0), "is no .splatv file"),
+        (b"", "is not a .splatv file"),
+        (struct.pack("<II", 7, 0), "is not a .splatv file"),
         (struct.pack("<II", MAGIC, 1 << 31), "claims 2147483648 bytes of JSON"),
-        (struct.pack("<II", MAGIC, 2) + b"{x", "is no JSON"),
-        (struct.pack("<II", MAGIC, 2) + b"{}", "is no list of at most 64 chunks"),
+        (struct.pack("<II", MAGIC, 2) + b"{x", "is not JSON"),
+        (struct.pack("<II", MAGIC, 2) + b"{}", "must be a list of at most 64 chunks"),
         (splatv_bytes(TIMED, [{"type": "splat", "size": True}]), "needs a type and a size"),
         (splatv_bytes(TIMED, [{"type": "splat", "size": -64}]), "needs a type and a size"),
         (splatv_bytes(TIMED, [{"type": "splat", "size": 65}]), "not a multiple of 64"),

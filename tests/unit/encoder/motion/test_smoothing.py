@@ -1,4 +1,4 @@
-"""Noise of the source is taken off, motion is not."""
+"""Smoothing removes noise of the source but not motion."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Chunks of motion, the encoder's side: lines are told as lines, as roughly as a splat's life allows."""
+"""Encoding of chunks of motion: linear motion costs little, and accuracy follows a splat's life."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SPAN, SPLATS, STEP = 16, 64, 0.01
 
 
 def drifting(lives: np.ndarray, noise: float, **options: Any) -> TrackSpan:
-    """Splats [n] of so many frames that drift in straight lines, up to ``noise`` units off where they are held."""
+    """Splats [n] over some frames that drift in straight lines, up to ``noise`` units off their held positions."""
     random = np.random.default_rng(2)
     times = np.arange(SPAN + 1)[:, None, None]
     anchors = random.normal(size=(len(lives), 3)).astype(np.float32)

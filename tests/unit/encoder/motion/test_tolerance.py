@@ -1,4 +1,4 @@
-"""How exactly motion is told."""
+"""The tolerance of motion."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from cags_encoder.motion.tolerance import Tolerance, Tolerances
 
 
 def waves(size: float) -> tuple[np.ndarray, np.ndarray]:
-    """Samples [17, 200, 3] in units, and that all of them are there."""
+    """Samples [17, 200, 3] in units, and a mask that marks all as present."""
     random = np.random.default_rng(0)
     values = size * np.sin(np.arange(17)[:, None, None] / 5 + random.uniform(0, 6, (1, 200, 3)))
     return values, np.ones((17, 200), bool)

@@ -1,4 +1,4 @@
-"""Turns of splats over frames."""
+"""Rotations of splats over frames."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -12,7 +12,7 @@ def wxyz(rotation: Rotation) -> np.ndarray:
 
 
 def axes(quats: np.ndarray) -> np.ndarray:
-    """Outer products of each Gaussian's own axes [n, 3, 3, 3], which no change of sign shows in."""
+    """Outer products of each Gaussian's axes [n, 3, 3, 3], which are independent of their signs."""
     columns = Rotation.from_quat(np.roll(quats, -1, axis=-1)).as_matrix()
     return np.einsum("nik,njk->nkij", columns, columns)
 
@@ -21,7 +21,7 @@ def test_a_spin_through_many_turns_has_no_jump() -> None:
     first = wxyz(Rotation.random(5, random_state=0))
     spin = Rotation.from_rotvec(np.outer(np.radians(np.arange(0, 900, 25.0)), (0, 0, 1)))
     frames = np.stack([product(np.tile(wxyz(turn), (5, 1)), first) for turn in spin])
-    frames *= np.where(frames[:, :, :1] < 0, -1.0, 1.0)  # as sources write them
+    frames *= np.where(frames[:, :, :1] < 0, -1.0, 1.0)  # as in files
     turns = relative_turns(frames, first)
     assert ((turns[1:] * turns[:-1]).sum(axis=2) > 0.7).all()
     for turn, frame in zip(turns, frames, strict=True):

@@ -1,4 +1,4 @@
-"""Scenes from files: still ones, sequences, layouts, identities."""
+"""Scenes from files: static scenes, sequences, layouts, identities."""
 
 import pickle
 from collections.abc import Callable
@@ -84,7 +84,7 @@ def test_row_identities_are_found_out(kind: str, tmp_path: Path) -> None:
 
 
 def test_equal_attributes_of_all_splats_do_not_make_identities(tmp_path: Path) -> None:
-    """A converted mesh: every splat has the same size and opacity, and the rows are sorted anew."""
+    """A converted mesh: every splat has the same size and opacity, and the rows of every frame are sorted anew."""
     arrays = {name: array.copy() for name, array in REST.arrays()}
     for name in ("log_scales", "logit_opacities", "sh0"):
         arrays[name][:] = 1.0
@@ -93,7 +93,7 @@ def test_equal_attributes_of_all_splats_do_not_make_identities(tmp_path: Path) -
 
 
 def test_training_folders(tmp_path: Path) -> None:
-    """3DGStream's, HiCoM's and TrackerSplat's layout; the last iteration counts."""
+    """The layout of 3DGStream, HiCoM and TrackerSplat; the last iteration counts."""
     for frame in (1, 2, 10):
         for iteration in (7, 30, 150):
             path = f"frame{frame}/point_cloud/iteration_{iteration}/point_cloud.ply"
@@ -155,7 +155,7 @@ def test_shared_scenes_open(name: str, frames: int) -> None:
 
 
 def test_rows_of_monkey_do_not_persist() -> None:
-    """Its writer sorts each frame anew: neighbours of a row's position lie far from the row."""
+    """The writer sorts each frame anew, so that neighbouring positions are in distant rows."""
     scene = open_scene(str(shared_scene("monkey")))
     assert scene.ids(0) is None
     a, b = scene.frame(0), scene.frame(1)

@@ -1,4 +1,4 @@
-"""The generated 4D clip, and scenes as tool chains disguise them."""
+"""The generated 4D clip, and scenes with shuffled rows and quantised attributes."""
 
 import pickle
 from dataclasses import fields
@@ -99,5 +99,7 @@ def test_quantising_as_a_format_is_what_its_files_bring_back(degree: int) -> Non
     ]
     for k, (mine, theirs) in enumerate(pairs):
         for (name, a), (_, b) in zip(mine.arrays(), theirs.arrays(), strict=True):
-            coarse = k == 0 and name == "sh_rest"  # our files keep more bits of harmonics than the tools' own
+            coarse = (
+                k == 0 and name == "sh_rest"
+            )  # our files have more bits for harmonics than those of Niantic's tools
             assert a == pytest.approx(b, abs=0.07 if coarse else 2e-6), name

@@ -1,4 +1,4 @@
-"""The motion tool: what must change does, all else is bit-identical, identities persist."""
+"""Added motion: selected attributes change, everything else is bit-identical, identities persist."""
 
 import pickle
 from itertools import pairwise
@@ -43,7 +43,7 @@ def scene(kind: str = "mix", base: Splats = REST, **options: float) -> MotionSce
 
 
 def changed(source: MotionScene, a: int, b: int) -> tuple[set[str], float]:
-    """Attributes that differ among the splats that both frames hold, and the share of splats that differ."""
+    """Attributes that differ among the splats in both frames, and the share of splats that differ."""
     ids_a, ids_b = source.ids(a), source.ids(b)
     _, rows_a, rows_b = np.intersect1d(ids_a, ids_b, return_indices=True)
     names, rows = set(), np.zeros(len(rows_a), bool)
@@ -103,7 +103,7 @@ def test_rigid_motion_keeps_distances_and_turns_the_view_dependent_colour() -> N
 
 
 def best_rotation(a: F64, b: F64) -> F64:
-    """Kabsch: the rotation that takes the centred ``a`` to ``b``."""
+    """Kabsch algorithm: the rotation from the centred ``a`` to ``b``."""
     u, _, vt = np.linalg.svd((a - a.mean(0)).T @ (b - b.mean(0)))
     flip = np.diag([1.0, 1.0, np.linalg.det(vt.T @ u.T)])
     return np.asarray(vt.T @ flip @ u.T)

@@ -1,4 +1,4 @@
-"""The procedural room: size, determinism, how much changes, identities, and that it is closed and lit."""
+"""The procedural room: size, determinism, amount of change, identities, closed walls and light."""
 
 import pickle
 from collections.abc import Callable
@@ -43,7 +43,7 @@ def changed_share(source: FrameSource, frame: Callable[[int], Splats], a: int, b
 def test_size_is_the_number_of_splats(size: int) -> None:
     scene = open_scene(f"procedural:size={size},frames=60")
     counts = {len(scene.frame(index)) for index in range(0, 60, 6)}
-    assert 0.95 * size <= min(counts) <= max(counts) <= size + 48  # a bubble has at least eight
+    assert 0.95 * size <= min(counts) <= max(counts) <= size + 48  # a bubble has at least eight splats
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -52,7 +52,7 @@ def test_degree_is_as_asked_and_shine_uses_it(degree: int) -> None:
     assert frame.sh_degree == degree
     if degree:
         shiny = np.abs(frame.sh_rest).max(axis=(1, 2)) > 0.01
-        assert 0.05 < shiny.mean() < 0.6  # and matt things have none
+        assert 0.05 < shiny.mean() < 0.6  # matt objects have none
 
 
 def test_same_settings_same_frames(room: ProceduralScene) -> None:

@@ -1,4 +1,4 @@
-"""Where a scene's focus is put."""
+"""The focus of a scene."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Scenes of native 4D files."""
+"""Scenes from 4D files."""
 
 import pickle
 from pathlib import Path
@@ -28,7 +28,7 @@ def test_frames_are_sampled_at_the_rate_asked_for(path: Path) -> None:
     assert (len(scene), scene.fps, scene.up, scene.name) == (40, 20.0, (0, 1, 0), "clip")
     rows = TIMED.alive(10 / 40)
     kept = scene.ids(10)
-    assert np.abs(len(rows) - len(kept)) <= 2  # halves and bytes move an opacity across the limit
+    assert np.abs(len(rows) - len(kept)) <= 2  # rounding to halves and bytes moves some opacities across the limit
     common = np.intersect1d(rows, kept)
     wanted = TIMED.at(10 / 40, common, "x")
     found = scene.frame(10).take(np.searchsorted(kept, common))

@@ -57,7 +57,7 @@ def test_identities_that_the_source_knows_are_taken_and_checked() -> None:
 
 
 def test_the_source_s_identities_hold_while_splats_fly() -> None:
-    """Nothing but the source can know these: everything moves by many times its size, each splat its own way."""
+    """Only the source can know these identities: every splat moves by many times its size, in its own direction."""
     tracker, splats, rows = IdentityTracker(), cloud(200), np.arange(200, dtype=np.int32)
     first, _ = tracker.identify(splats, rows, "x")
     flown = with_changes(splats, means=splats.means + RANDOM.normal(size=(200, 3)).astype(np.float32))
@@ -79,7 +79,7 @@ def test_rows_are_not_believed_across_a_cut_or_a_new_order() -> None:
 
 
 def test_rows_that_shift_in_mid_clip_are_not_believed() -> None:
-    """A tool drops one splat and appends another: rows from there on are no longer the same splats."""
+    """A tool removes one splat and appends another, so later rows are other splats than before."""
     tracker, splats, rows = IdentityTracker(), cloud(200), np.arange(200, dtype=np.int32)
     first, _ = tracker.identify(splats, rows, "x")
     shifted = np.r_[np.arange(100), np.arange(101, 200), 0]

@@ -1,4 +1,4 @@
-"""Looks that last: fewer values tell the same changes within the same tolerance."""
+"""Lasting looks: fewer values express the same changes within the same tolerance."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def frames(of: Sequence[Splats], removed: Sequence[Sequence[int]] | None = None)
 
 
 def grey(effect: float | np.ndarray) -> np.ndarray:
-    """Colours [N, 3] that differ by ``effect`` from nothing."""
+    """Colours [N, 3] with a visible effect of ``effect`` relative to zero."""
     return np.broadcast_to(np.asarray(effect, float).reshape(-1, 1) / SH_C0, (N, 3))
 
 

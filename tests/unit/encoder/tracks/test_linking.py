@@ -1,4 +1,4 @@
-"""Splats are linked with what they continue, whatever happens to a clip."""
+"""Splats are linked to their predecessors under many kinds of change."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def moved(splats: Splats, by: object) -> Splats:
 
 
 def drifting(step: float, frames: int = 4, size: float = 1.0, degree: int = 0) -> list[TrueFrame]:
-    """A shuffled cloud of ``size`` metres that moves by ``step`` metres a frame."""
+    """A shuffled cloud of ``size`` metres that moves by ``step`` metres per frame."""
     base = cloud(1500, 1, degree)
     base = with_changes(base, means=base.means * size, log_scales=base.log_scales + np.log(size))
     out = []
@@ -156,7 +156,7 @@ def test_lives_of_one_frame_are_not_linked() -> None:
     ]
     score = linked(frames)
     assert score.found >= 0.99
-    assert score.false <= 0.03  # of a thousand that go, a few lie beside one that comes and looks alike
+    assert score.false <= 0.03  # a few of a thousand ending splats lie beside a similar new one
 
 
 def test_single_splats_are_frames_too() -> None:

@@ -1,4 +1,4 @@
-"""Splats by id: equal rows found, bit by bit, and a table that grows."""
+"""Splats by id: bit-identical rows are found, and the table grows."""
 
 from __future__ import annotations
 

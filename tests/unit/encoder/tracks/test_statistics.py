@@ -23,7 +23,7 @@ def track_statistics(source: FrameSource, frames: int | None = None) -> TrackSta
 
 def test_lives_and_links_are_counted() -> None:
     counter, splats = TrackCounter(), cloud(5)
-    frames = [[-1, -1, -1], [0, 1], [0, -1, -1], [0, 1, 2], [2]]  # rows of the frame before
+    frames = [[-1, -1, -1], [0, 1], [0, -1, -1], [0, 1, 2], [2]]  # rows of the previous frame
     before = None
     for rows in frames:
         after = splats.take(np.arange(len(rows)))

@@ -3,7 +3,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cags_common.errors import ProtocolError
-from cags_protocol.delivery.flow import MAX_PACING_US, MIN_WINDOW_BYTES, PACING_GAIN, REORDER_PACKETS, FlowControl
+from cags_protocol.delivery.flow import (
+    LEAST_PACKET_BYTES,
+    MAX_PACING_US,
+    PACING_GAIN,
+    PACKET_US,
+    REORDER_PACKETS,
+    FlowControl,
+)
 from cags_protocol.delivery.round_trips import MIN_RTT_WINDOW_US
 from cags_protocol.delivery.send_queue import Entry
 from cags_protocol.events import Stance
@@ -55,7 +62,7 @@ def test_a_queue_that_others_hold_up_counts_as_the_links_own():
 
 
 def test_on_a_slow_link_the_queue_is_its_own():
-    """Two packets of credit take half a second of 250 kbit/s."""
+    """A packet of the largest size, sent while the link was thought faster, takes a quarter of a second."""
     control, now_us = flow(rate_bps=250e3, window_us=20_000), 0
     for step in range(60):
         seq = send(control, now_us, 8192)
@@ -64,18 +71,32 @@ def test_on_a_slow_link_the_queue_is_its_own():
         assert control.stance is Stance.GIVE_WAY
 
 
+@given(st.floats(1.0, 1e9))
+def test_a_packet_is_as_large_as_the_link_carries_in_its_time_within_bounds(rate_bps):
+    size = flow(rate_bps=rate_bps).packet_bytes
+    assert LEAST_PACKET_BYTES <= size <= PACKET_BYTES
+    assert size <= max(rate_bps * PACKET_US / 8e6, LEAST_PACKET_BYTES)
+    assert size >= min(rate_bps * PACKET_US / 8e6 - 1, PACKET_BYTES)
+
+
 def test_credit_never_falls_below_two_packets():
-    assert flow(rate_bps=1.0).window_bytes == MIN_WINDOW_BYTES
+    assert flow(rate_bps=1.0).window_bytes == 2 * LEAST_PACKET_BYTES
+    assert flow(rate_bps=4e6, window_us=1000).window_bytes == 2 * PACKET_BYTES
 
 
-def test_credit_is_used_up_and_comes_back():
-    control = flow(rate_bps=1.0)
+@pytest.mark.parametrize("rate_bps", [1.0, 1e6, 4e6])
+def test_credit_is_used_up_and_comes_back(rate_bps):
+    control = flow(rate_bps=rate_bps, window_us=1000)
+    size = control.packet_bytes
     assert control.has_credit()
-    send(control, 0, 8192)
-    send(control, 0, 8192)
+    send(control, 0, size)
+    send(control, 0, size)
     assert not control.has_credit()
-    assert control.has_credit(extra_bytes=8192)
-    ack(control, [SeqRange(1, 1)], 1000)
+    for _ in range(2):
+        assert control.has_credit(reference=True)
+        send(control, 0, size)
+    assert not control.has_credit(reference=True)
+    ack(control, [SeqRange(1, 3)], 1000)
     assert control.has_credit()
 
 

@@ -61,6 +61,20 @@ def test_packets_around_the_border_fit(size):
         assert len(q.queue.take_fragment(entry, q.seq)) <= PACKET_BYTES
 
 
+@pytest.mark.parametrize("packet_bytes", [1448, 3000, PACKET_BYTES])
+def test_fragments_fit_the_packets_that_are_asked_for(packet_bytes):
+    q = Queue()
+    outgoing = tile(0, 0, 3 * CHUNK_BYTES)
+    q.queue.put(outgoing)
+    chunks = []
+    while (entry := q.queue.peek()) is not None:
+        q.seq += 1
+        packet = q.queue.take_fragment(entry, q.seq, packet_bytes)
+        assert len(packet) <= packet_bytes
+        chunks.append(bytes(decode(packet)[1]))
+    assert bytes(decode(b"".join(chunks))[1]) == outgoing.payload
+
+
 def test_order_is_references_then_priority_then_first_come():
     q = Queue()
     order = [

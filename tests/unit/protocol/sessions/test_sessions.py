@@ -96,6 +96,29 @@ def test_no_packet_is_longer_than_8_kib():
     assert max(map(len, pair.packets_down)) <= PACKET_BYTES
 
 
+def test_little_is_in_flight_on_a_slow_link():
+    """Two packets of 8 KiB, and two more for references, take 1.3 s of 200 kbit/s, and nothing overtakes them."""
+    free_us = 0
+
+    def thin(data):
+        nonlocal free_us
+        free_us = max(free_us, pair.now_us) + len(data) * 40
+        return [(free_us - pair.now_us + 10_000, data)]
+
+    pair = Pair().open()
+    pair.down, pair.server.rate_hint_bps = thin, 200e3
+    pair.queue(tile(0, 0, 30_000, priority=2))
+    worst_us = 0
+    for frame in range(60):
+        pair.queue(reference(frame, frame + 1, 200), Outgoing(m.FrameEnd(frame), b"", 1))
+        pair.run(33_333)
+        worst_us = max(worst_us, free_us - pair.now_us)
+    assert worst_us < 300_000
+    ends = [event.message.frame for event in pair.client_events(ev.FrameEnded)]
+    assert ends == list(range(len(ends)))
+    assert len(ends) >= 50
+
+
 def test_a_reference_overtakes_a_half_sent_tile():
     pair = Pair().open()
     pair.server.rate_hint_bps = 1e6

@@ -10,7 +10,7 @@ from cags_common.errors import ConfigError
 from cags_protocol.events import Closed
 from cags_server.http.admission import origin_allowed, tls_context, token_allowed
 from cags_server.http.metrics import exposition
-from cags_server.records import StreamStats, Totals, write_session
+from cags_server.records import ReferenceCosts, StreamStats, Totals, write_session
 from cags_server.session.quota import MESSAGE_S, ClientQuota, Quotas, ReadingShare, TokenBucket
 from cags_server.settings import ServeSettings
 from support.server_scene import hello
@@ -81,15 +81,20 @@ def test_quotas_name_what_is_broken() -> None:
 
 def test_the_metrics_page_adds_ended_and_running_sessions() -> None:
     ended = Totals()
-    ended.add(StreamStats(frames=3, bytes_tiles=100, render_ns=2_000_000_000))
-    page = exposition(ended, [StreamStats(frames=4, bytes_tiles=11, bandwidth_bps=2e6, rtt_us=40_000)])
+    costs = ReferenceCosts(2, render_ns=2 * 10**9)
+    ended.add(StreamStats(frames=3, frames_in_time=2, frames_late=1, stalls=1, bytes_tiles=100, light=costs))
+    live = StreamStats(frames=4, frames_skipped=5, bytes_tiles=11, bandwidth_bps=2e6, rtt_us=40_000, stalls=2)
+    page = exposition(ended, [live], tasks=9)
     lines = (line.rsplit(" ", 1) for line in page.splitlines() if not line.startswith("#"))
     values = {series: float(value) for series, value in lines}
     assert values["cags_sessions"] == 1
     assert values["cags_sessions_total"] == 2
     assert values["cags_frames_total"] == 7
+    assert (values["cags_frames_in_time_total"], values["cags_frames_late_total"]) == (2, 1)
+    assert (values["cags_frames_skipped_total"], values["cags_stalls_total"], values["cags_tasks"]) == (5, 3, 9)
     assert values['cags_sent_bytes_total{kind="tiles"}'] == 111
     assert values["cags_render_seconds_sum"] == pytest.approx(2.0)
+    assert values["cags_render_seconds_count"] == 2, "looks without a reference are not counted"
     assert values["cags_rtt_seconds"] == pytest.approx(0.04)
     if sys.platform == "linux":
         assert values["process_resident_memory_bytes"] > 1e6

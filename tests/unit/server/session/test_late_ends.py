@@ -1,0 +1,65 @@
+"""Ends of frames that wait on a slow link until their frames have been displayed."""
+
+from __future__ import annotations
+
+from cags_protocol import events as ev
+from cags_protocol.wire.messages import FrameEnd, TileLayers
+from cags_server.ratecontrol.priorities import BASE_PRIORITY, BLOB_PRIORITY
+from support.streamer_rig import OFFSET_US, PERIOD_US, Rig, of
+
+START_US = 300_000
+"""Display of frame 0, by the client's clock."""
+
+
+def planned(rig: Rig, frames: int) -> list[ev.Outgoing]:
+    """The ends of the next frames; all else is delivered."""
+    out = [each for _ in range(frames) for each in rig.step(deliver=False)]
+    rig.deliver([each for each in out if not isinstance(each.message, FrameEnd)])
+    return [each for each in out if isinstance(each.message, FrameEnd)]
+
+
+def taken_back(rig: Rig, ends: list[ev.Outgoing], now_us: int) -> list[ev.Outgoing]:
+    """What goes instead of ``ends``, as far as they are outdated."""
+    rig.now_us = now_us
+    rig.drop([each for each in ends if rig.streamer.outdated(each, now_us)], "cancelled")
+    return rig.streamer.take_late_ends(now_us)
+
+
+def displayed(frame: int) -> int:
+    """When ``frame`` is displayed, by the server's clock."""
+    return OFFSET_US + START_US + round(frame * PERIOD_US)
+
+
+def test_the_newest_late_end_stands_for_those_that_name_no_splats_and_they_go_first() -> None:
+    rig = Rig()
+    rig.play()
+    ends = planned(rig, 3)
+    assert [(each.message.frame, bool(each.payload)) for each in ends] == [(1, False), (2, True), (3, False)]
+    assert {each.priority for each in ends} == {BASE_PRIORITY}
+    assert taken_back(rig, ends, displayed(0)) == []
+    again = taken_back(rig, ends, displayed(3) + 1)
+    assert [(end.frame, each.payload) for end, each in zip(of(FrameEnd, again), again, strict=True)] == [
+        (2, ends[1].payload),
+        (3, b""),
+    ]
+    assert {each.priority for each in again} == {BLOB_PRIORITY}
+    rig.deliver(again)
+    assert not rig.streamer.outdated(again[0], displayed(3) + 1), "it is gone"
+
+
+def test_ends_before_a_jump_do_not_come_back_after_it() -> None:
+    rig = Rig()
+    rig.play()
+    ends = planned(rig, 2)
+    rig.control("seek", 6, at_us=START_US + 500_000)
+    rig.drop(ends, "cancelled")
+    assert rig.streamer.take_late_ends(displayed(11)) == []
+
+
+def test_tiles_are_outdated_as_before() -> None:
+    rig = Rig()
+    rig.play()
+    out = rig.step(deliver=False)
+    tile = next(each for each in out if isinstance(each.message, TileLayers))
+    assert not rig.streamer.outdated(tile, displayed(0) - 1)
+    assert rig.streamer.outdated(tile, displayed(tile.message.frame) + round(4 * PERIOD_US))
