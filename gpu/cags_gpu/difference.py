@@ -53,6 +53,8 @@ class DeviceViews:
     """
 
     compared = True
+    depth = None
+    """Not drawn: differences are sent whole."""
 
     def __init__(
         self, scenes: tuple[SceneOnDevice, SceneOnDevice], job: Comparison, resident: ResidentScene, target: Target

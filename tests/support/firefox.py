@@ -39,6 +39,10 @@ class Firefox:
     def get(self, url: str) -> None:
         self._ask("browsingContext.navigate", context=self._context, url=url, wait="complete")
 
+    def before_each_page(self, script: str) -> None:
+        """Run ``script`` in every page from now on, before the page's own scripts."""
+        self._ask("script.addPreloadScript", functionDeclaration=f"() => {{ {script} }}")
+
     def execute_script(self, script: str, *arguments: Any) -> Any:
         return self._run(f"(function () {{ {script} }}).apply(null, {json.dumps(arguments)})")
 

@@ -180,10 +180,11 @@ class Shown:
         return np.frombuffer(base64.b64decode(self.values["pixels"]), np.uint8).reshape(height, width, 4)
 
 
-def drawn_by_python(shown: Sequence[Shown], bundle: Path) -> list[NDArray[np.uint8]]:
-    """The same pictures by the ``gpu`` backend on SwiftShader, of the bundle at its highest level."""
+def drawn_by_python(shown: Sequence[Shown], bundle: Path, planes: bool = True) -> list[NDArray[np.uint8]]:
+    """The same pictures by the ``gpu`` backend on SwiftShader, of the bundle at its highest level. References are those
+    of the page; where the browser hands out ``planes``, they must be FFmpeg's to the bit."""
     environment = {**os.environ, "VK_ICD_FILENAMES": str(ICD), "CAGS_GPU_SOFTWARE": "1"}
-    pictures = [{k: v for k, v in one.values.items() if k != "pixels"} for one in shown]
+    pictures = [{k: v for k, v in one.values.items() if k != "pixels"} | {"planes": planes} for one in shown]
     command = [sys.executable, str(Path(__file__).with_name("web_page_drawn.py"))]
     job = json.dumps({"bundle": str(bundle), "pictures": pictures}).encode()
     done = subprocess.run(command, input=job, env=environment, capture_output=True, timeout=480, check=False)
@@ -191,12 +192,12 @@ def drawn_by_python(shown: Sequence[Shown], bundle: Path) -> list[NDArray[np.uin
     return [one.reshape(shown[0].pixels.shape) for one in np.split(np.frombuffer(done.stdout, np.uint8), len(shown))]
 
 
-def same_as_python(viewer: Page, bundle: Path) -> None:
-    """What the page shows is what Python draws, byte for byte."""
+def same_as_python(viewer: Page, bundle: Path, planes: bool = True) -> None:
+    """What the page shows is what Python draws, byte for byte; ``planes`` as for :func:`drawn_by_python`."""
     shown = viewer.shown()
     assert shown.values["full"] and not shown.values["missed"]
     assert shown.pixels[..., :3].any(), "there is a picture"
-    np.testing.assert_array_equal(shown.pixels, drawn_by_python([shown], bundle)[0])
+    np.testing.assert_array_equal(shown.pixels, drawn_by_python([shown], bundle, planes)[0])
 
 
 @contextmanager

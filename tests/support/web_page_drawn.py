@@ -34,7 +34,7 @@ def reference_of(values: dict[str, Any]) -> Reference | None:
         return None
     camera = camera_of(given["camera"])
     coded = floats(given["coded"], camera.height_px, camera.width_px, 3)
-    if values["idr"]:  # decodes by itself: the browser's picture must be FFmpeg's
+    if values["idr"] and values["planes"]:  # decodes by itself: the browser's picture must be FFmpeg's
         own = H264Decoder().decode(base64.b64decode(values["unit"]))
         assert own is not None and np.abs(own - coded).max() < 2e-7, "the reference was decoded otherwise"
     return Reference(coded, camera, given["picture"], given["knee"], given["error"])

@@ -48,6 +48,11 @@ class ComparedViews(Protocol):
         """[h, w, 3] in [0, 1]: ``lack`` after the compander (:mod:`.compander`)."""
         ...
 
+    @property
+    def depth(self) -> F32 | None:
+        """[h, w] camera-space z of the client's copy, +inf where void; None if it was not drawn."""
+        ...
+
 
 class DrawnViews(ComparedViews, Protocol):
     """Compared views that were rendered for the comparison."""
@@ -79,6 +84,8 @@ class StagedViews:
 
     scene: F32
     mirror: F32 | None
+    depth: F32 | None = None
+    """[h, w] of the client's copy; None: not drawn."""
 
     @cached_property
     def truth(self) -> F32:

@@ -35,10 +35,13 @@ class SvqSplats:
     means: F32  # [n, 3] unquantised
     radii: F32  # [n] standard deviation along the middle axis, metres
     codes: dict[str, U32]  # attribute -> [n] codes of full length
+    coarser: float = 1.0
+    """Factor of the position step, for positions that motion refines."""
 
     def take(self, rows: NDArray[Any] | slice) -> SvqSplats:
         """The splats at ``rows``."""
-        return SvqSplats(self.means[rows], self.radii[rows], {name: codes[rows] for name, codes in self.codes.items()})
+        codes = {name: codes[rows] for name, codes in self.codes.items()}
+        return replace(self, means=self.means[rows], radii=self.radii[rows], codes=codes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +110,11 @@ class SvqCodec:
         """A tile's grid, fine enough for the smaller ones of its splats: an error shows against a splat's own size."""
         if self.position_bits is not None:
             return PositionGrid.over(coded.means, self.position_bits)
-        step = self.position_step * float(np.quantile(coded.radii, SMALL_SPLATS)) if len(coded.radii) else 1.0
+        step = (
+            coded.coarser * self.position_step * float(np.quantile(coded.radii, SMALL_SPLATS))
+            if len(coded.radii)
+            else 1.0
+        )
         extent = float(np.ptp(coded.means.astype(np.float64), axis=0).max(initial=0.0)) if len(coded.means) else 0.0
         bits = math.ceil(math.log2(extent / max(step, 1e-30) + 1))
         return PositionGrid.over(coded.means, min(max(bits, MIN_POSITION_BITS), MAX_POSITION_BITS))

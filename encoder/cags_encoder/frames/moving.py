@@ -43,6 +43,14 @@ SHARE = 0.25
 COLUMNS = {"scale": "log_scales", "sh0": "sh0", "sh_rest": "sh_rest"}
 """Attributes that can be sent alone, and their columns of :class:`Splats`."""
 
+COARSER = 8.0
+"""Factor of the position step of new splats that move or end soon. Their grid then has a step of about one standard
+deviation, and their chunk refines positions in levels, by each splat's own size.
+"""
+
+MOVED = 0.05
+"""Motion, in standard deviations, from which on a new splat counts as moving."""
+
 MOST_CHANGE = 0.5
 """If more than this share of the splats changes, updates are cut into tiles by id, which then takes no bytes: the ids
 of a key frame ascend along the curve that tiles follow.
@@ -77,6 +85,8 @@ class _Track:
     first_span: int
     end: Window | None = None
     """How the last chunk leaves the splats (one frame); None before any chunk."""
+    refined: bool = False
+    """Whether the looks' positions are coarse, and the first chunk codes where its span begins."""
     fades: bool = False
     """Whether the last chunk contains fades. If held at its end, its splats would stay faded."""
 
@@ -147,7 +157,10 @@ class MovingGroups:
         coded = _svq(quantised).take(rows)
         largest = KEY_TILE_SPLATS if frame.key else DELTA_TILE_SPLATS
         tiles = cut_tiles(ids, quantised.prepared.take(rows).means, coded, largest=largest, id_range=frame.key)
-        for number, tile in enumerate(tiles):
+        out = []
+        for number, cut in enumerate(tiles):
+            tile = cut if frame.key else self._coarsened(cut, frame.index)
+            out.append(tile)
             assert isinstance(tile.coded, SvqSplats)
             shown = self._codec.shown(tile.coded)
             self._hold(tile.ids, shown)
@@ -158,7 +171,18 @@ class MovingGroups:
             self._tracks.append(self._track((frame.index, number), tile, shown, mine))
             if frame.key:
                 self._tracks[-1].first_span = -(-self._span * (1 + number % PHASES) // PHASES)
-        return list(tiles)
+        return out
+
+    def _coarsened(self, tile: CutTile, frame: int) -> CutTile:
+        """``tile`` with coarser positions if most of its splats end or move: their first chunk codes the rest."""
+        last = min(frame + self._span, self._trails.last(frame))
+        window = self._trails.window(tile.ids, frame, last)
+        away = np.abs(window.means - window.means[0]).max(axis=2)
+        assert isinstance(tile.coded, SvqSplats)
+        moved = np.where(window.present, away, 0.0).max(axis=0) > MOVED * tile.coded.radii
+        if last == frame or (moved | ~window.present[-1]).mean() <= 0.5:
+            return tile
+        return replace(tile, coded=replace(tile.coded, coarser=COARSER))
 
     def _hold(self, ids: Ids, shown: Splats) -> None:
         if self._held is None:
@@ -171,7 +195,8 @@ class MovingGroups:
         base = self._books["scale"].layer(coded.codes["scale"], 0)
         is_round = np.ptp(source.log_scales, axis=1) < np.log(ROUND)
         steps = Steps(self._steps.moves[base], self._steps.turns[base])
-        return _Track(key, tile.ids, shown.means, source.quats, steps, is_round, key[0], self._span)
+        refined = coded.coarser > 1.0
+        return _Track(key, tile.ids, shown.means, source.quats, steps, is_round, key[0], self._span, refined=refined)
 
     # ------------------------------------------------------------------------------------------------------- updates
 
@@ -281,8 +306,8 @@ class MovingGroups:
 
     def _span_of(self, track: _Track, frame: int) -> TrackSpan | None:
         """The chunk of a tile from ``frame`` on, where it needs one; the track's ``next`` moves on, or ends."""
-        starts = frame > track.key[0]
-        length = min(self._span if starts else track.first_span, self._trails.last(frame) - frame)
+        later = frame > track.key[0]
+        length = min(self._span if later else track.first_span, self._trails.last(frame) - frame)
         window = self._trails.window(track.ids, frame, frame + length)
         mine = (self._owner[track.ids] == track.key).all(axis=1)
         window.present[:, ~mine] = False
@@ -298,7 +323,7 @@ class MovingGroups:
         track.end, track.fades = window.last(), fades is not None
         return TrackSpan(
             *(track.key, window.means, window.quats, window.present, track.anchors, track.quats),
-            *(track.steps, track.round, starts, lives, fades, self._tolerated),
+            *(track.steps, track.round, later or track.refined, lives, fades, self._tolerated),
         )
 
     def _moving_share(self, frame: int) -> float:

@@ -28,7 +28,7 @@ STRAIGHT = 1.0
 """A trajectory within this many finest units of a line is coded as the line."""
 
 ROUGH = 0.75
-"""Ends of lines are rounded to a coarser level's unit where no sample is then off by more finest units than this."""
+"""Ends of lines are rounded to a coarser level's unit if no sample is then wrong by more finest units than this."""
 
 MOST_MOVED, MOST_TURNED = 1.0, 3.0
 """Largest change of any sample of positions and rotations by smoothing, in finest units, so that it is invisible."""
@@ -218,8 +218,8 @@ def _line(values: F64, present: NDArray[np.bool_]) -> F64:
 def _straight(values: F64, present: NDArray[np.bool_], levels: int, *, starts: bool) -> F64:
     """``values`` [frames, n, c] in units of the last of ``levels``, those within :data:`STRAIGHT` of a line put on it.
 
-    Lines begin where the client has the splats: without ``starts`` at nothing, whatever the first sample. Their ends
-    are as round as they may be, so that levels have less to add: a short life needs no exact end of the span.
+    Without ``starts`` lines begin at zero, where the client has the splats. Both ends are rounded to the unit of a
+    coarser level where accuracy allows, so that finer levels code zeros: a short life needs no exact end of the span.
     """
     line = _line(values, present) if starts else _line_from_nothing(values, present)
     times = np.arange(len(values), dtype=np.float64)[:, None, None] / (len(values) - 1)
@@ -230,7 +230,8 @@ def _straight(values: F64, present: NDArray[np.bool_], levels: int, *, starts: b
         return furthest
 
     straight: NDArray[np.bool_] = np.logical_and.reduce(off(line) <= STRAIGHT, axis=1)
-    first = np.rint(line[0])
+    rough = np.rint(line[0] / REFINEMENT) * REFINEMENT
+    first = np.where((levels > 1) & (np.abs(rough - line[0]) <= ROUGH), rough, np.rint(line[0]))
     chosen = first + np.rint(line[-1] - first) * times
     limit = np.maximum(off(chosen), ROUGH)
     for unit in (REFINEMENT**level for level in range(1, levels)):

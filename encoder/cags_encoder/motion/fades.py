@@ -9,10 +9,16 @@ from cags_common.geometry import F64
 from cags_common.motion.chunk import FADE_STEP, FADE_WIDTHS
 
 LEAST_CHANGE = 0.06
-"""Change of drawn opacity over a life from which on a fade is looked for."""
+"""Least change of drawn opacity over a life for which a fade is fitted."""
 
 WORST_FIT = 0.06
-"""Largest error of drawn opacity, in the root mean square, that a fade may leave."""
+"""Largest root mean square error of drawn opacity of a fade."""
+
+SEARCHED = 3
+"""Number of smaller and of larger widths that are tried if the first fit is poor."""
+
+FURTHEST = 2000
+"""Largest distance of a centre from the middle of a life, in steps of the centre."""
 
 _LEAST = 1e-4
 
@@ -45,24 +51,52 @@ def fit_fades(
     """Fades [n, 2] of ``opacities`` [frames, n] where ``present``, below ``peak`` [n]: index of the width plus one (0:
     none) and the centre, in parts of the width from ``middles`` [n]. And which of the splats they describe well enough
     [n]; those without a fade by being even.
+
+    The fit of a line is wrong where the largest sample is on the other side of the centre than assumed, or where
+    rounding the width shifts the flank. Widths and centres around such fits are searched.
     """
     times = np.arange(len(opacities), dtype=np.float64)[:, None]
+    count = np.maximum(present.sum(axis=0), 1)
+    even = _error(np.broadcast_to(peak, opacities.shape), opacities, present, count)
     width, centre = _lines(opacities, present, peak, times)
     index = np.clip(np.rint((np.log2(np.clip(width, 1e-3, 1e9)) + 3) * 4), 0, len(FADE_WIDTHS) - 1).astype(np.int64)
-    drawn_width = FADE_WIDTHS[index]
-    part = np.clip(np.rint((centre - middles) * FADE_STEP / drawn_width), -2000, 2000).astype(np.int64)
-    drawn = np.exp(-0.5 * np.square((times - (middles + part * drawn_width / FADE_STEP)) / drawn_width)) * peak
-    count = np.maximum(present.sum(axis=0), 1)
+    part = np.clip(np.rint((centre - middles) * FADE_STEP / FADE_WIDTHS[index]), -FURTHEST, FURTHEST).astype(np.int64)
+    faded = _error(_gaussian(index, part, middles, peak, times), opacities, present, count)
+    chosen = np.stack([index, part], axis=1)
+    poor = np.flatnonzero((even > LEAST_CHANGE / 2) & ~_describes(faded, even))
+    some = (opacities[:, poor], present[:, poor], count[poor])
+    for wider in range(-SEARCHED, SEARCHED + 1):
+        at = np.clip(index[poor] + wider, 0, len(FADE_WIDTHS) - 1)
+        nearest = np.rint((centre[poor] - middles[poor]) * FADE_STEP / FADE_WIDTHS[at])
+        for later in range(-FADE_STEP - 2, FADE_STEP + 3):
+            to = np.clip(nearest + later, -FURTHEST, FURTHEST).astype(np.int64)
+            tried = _error(_gaussian(at, to, middles[poor], peak[poor], times), *some)
+            better = tried < faded[poor]
+            rows = poor[better]
+            faded[rows], chosen[rows] = tried[better], np.stack([at, to], axis=1)[better]
+    use = (even > LEAST_CHANGE / 2) & _describes(faded, even)
+    chosen[:, 0] += 1
+    chosen[~use] = 0
+    return chosen, np.where(use, faded, even) < WORST_FIT
 
-    def error(guess: F64) -> F64:
-        root: F64 = np.sqrt(np.where(present, np.square(opacities - guess), 0.0).sum(axis=0) / count)
-        return root
 
-    even, faded = error(np.broadcast_to(peak, opacities.shape)), error(drawn)
-    fades = np.stack([index + 1, part], axis=1)
-    use = (even > LEAST_CHANGE / 2) & (faded < 0.7 * even) & (faded < WORST_FIT)
-    fades[~use] = 0
-    return fades, np.where(use, faded, even) < WORST_FIT
+def _describes(faded: F64, even: F64) -> NDArray[np.bool_]:
+    """Whether a fade's error [n] is tolerable, and well below that of an ``even`` opacity."""
+    fine: NDArray[np.bool_] = (faded < 0.7 * even) & (faded < WORST_FIT)
+    return fine
+
+
+def _gaussian(index: NDArray[np.int64], part: NDArray[np.int64], middles: F64, peak: F64, times: F64) -> F64:
+    """Opacities [frames, n] of fades."""
+    width = FADE_WIDTHS[index]
+    opacities: F64 = np.exp(-0.5 * np.square((times - (middles + part * width / FADE_STEP)) / width)) * peak
+    return opacities
+
+
+def _error(guess: F64, opacities: F64, present: NDArray[np.bool_], count: NDArray[np.int64]) -> F64:
+    """Root mean square error [n] of ``guess`` [frames, n] where ``present``."""
+    root: F64 = np.sqrt(np.where(present, np.square(opacities - guess), 0.0).sum(axis=0) / count)
+    return root
 
 
 def _vertex(opacities: F64, present: NDArray[np.bool_]) -> F64:
@@ -88,5 +122,5 @@ def _lines(opacities: F64, present: NDArray[np.bool_], peak: F64, times: F64) ->
     mean_t, mean_r = (weights * times).sum(axis=0) / total, (weights * root).sum(axis=0) / total
     slope = (weights * (times - mean_t) * (root - mean_r)).sum(axis=0)
     slope /= np.maximum((weights * np.square(times - mean_t)).sum(axis=0), 1e-12)
-    slope = np.maximum(slope, 1e-9)
+    slope = np.where(present.sum(axis=0) == 1, 1.0, np.maximum(slope, 1e-9))  # one sample fits any width
     return 1.0 / slope, np.clip(mean_t - mean_r / slope, -1e6, 1e6)

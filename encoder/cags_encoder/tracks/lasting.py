@@ -36,7 +36,10 @@ square over all directions.
 
 
 FASTER = 4.0
-"""Largest factor by which the tolerance of a splat grows with the speed of its change."""
+"""Largest factor by which the tolerance grows with the speed of change, and factor for noise."""
+
+NOISE_STEPS = 1.5
+"""Least ratio of the total variation of noise to its largest step; it excludes single jumps."""
 
 
 def lasting(splats: Splats, ids: Ids, later: Sequence[Placed], most: float) -> Told:
@@ -127,12 +130,20 @@ def _frames(
 
 
 def _slack(now: F32, frames: Sequence[tuple[F32, NDArray[np.bool_]]], effect: Effect, weight: F64) -> F64:
-    """By how many times each tolerance [m] is larger for what changes fast; ``weight`` [m] are of tolerances."""
-    before, gone = now, np.zeros(len(now))
+    """Factor [m] of each tolerance for what changes fast, or is noise; ``weight`` [m] are in tolerances.
+
+    Second differences of noise are larger than its first ones, those of a trend smaller. A single jump is no noise.
+    """
+    before, change = now, np.zeros_like(now)
+    gone, bent, largest = (np.zeros(len(now)) for _ in range(3))
     for values, there in frames:
-        gone += np.where(there, weight * effect(np.abs(values - before)), 0.0)
-        before = values
-    slack: F64 = np.clip(np.cbrt(gone / 2), 1.0, FASTER)
+        step = values - before
+        size = np.where(there, weight * effect(np.abs(step)), 0.0)
+        gone, largest = gone + size, np.maximum(largest, size)
+        bent += np.where(there, weight * effect(np.abs(step - change)), 0.0)
+        before, change = values, step
+    noise = (bent > gone) & (gone > NOISE_STEPS * largest)
+    slack: F64 = np.where(noise, FASTER, np.clip(np.cbrt(gone / 2), 1.0, FASTER))
     return slack
 
 

@@ -1,11 +1,11 @@
 """Which splat of a frame continues which of the frame before: mutual nearest neighbours in position and looks.
 
-A splat is looked for where its track's velocity takes it (or, where it has none, its neighbours'), among the nearest
-splats there. Which of these it is, position and looks decide together: the distance in units of the local spacing, and
-what scale, rotation, colour and harmonics differ by, in steps that sources quantise them with. Each part counts up to a
-limit, so that one attribute may change at will. Opacity does not count: splats fade.
+The velocity of a splat's track (or of its neighbours, for a new track) predicts its position. The nearest splats there
+are candidates. The score of a candidate adds the distance, in units of the local spacing, and the differences of scale,
+rotation, colour and harmonics, in typical quantisation steps of sources. Each term has a limit, so one attribute may
+change by any amount. Opacity does not count, because splats fade.
 
-Everything is relative to the splats themselves: neither the unit of length nor the number of splats matters.
+All measures are relative to the splats, so the unit of length and the number of splats do not matter.
 """
 
 from __future__ import annotations
@@ -24,59 +24,59 @@ from cags_encoder.tracks.rows import identical_rows
 Rows = NDArray[np.intp]
 
 USUAL, STRANGE = 90, 3.0
-"""Percentile of the differences in looks of a pair of frames, and how many times that is strange."""
+"""Percentile of the differences in looks of a pair of frames, and the multiple of it above which a link is strange."""
 
 STRANGE_LOOKS, STRANGE_PLACE = 2.0, 0.25
-"""What is never strange: this difference in looks, this squared distance in units of the spacing."""
+"""Difference in looks, and squared distance in units of the spacing, up to which no link is strange."""
 
 FEW, CANDIDATES = 3, 6
-"""Nearest splats among which a continuation is sought: of all splats, and of those that are left."""
+"""Number of candidates: among all splats, and among the unlinked ones."""
 
 REACH = 3.0
-"""A continuation lies within this many of a splat's own radii, or of the distances to its neighbours, of its place."""
+"""Largest distance from the predicted position, in radii of the splat or in distances to its neighbours."""
 
 ACCEPTED = 12.0
-"""Largest score of a link: about three sure signs of another splat."""
+"""Largest score of a link: about the limit of one attribute and a clear difference in another."""
 
 SURE = 1.0
-"""Score of a row's link that is not looked into any further."""
+"""Score up to which a link by row is accepted without a search."""
 
 SCALE_STEP, COLOUR_STEP, HARMONICS_STEP, TURN_STEP = 0.15, 0.06, 0.08, 0.15
-"""Differences that count one: of the logarithm of the scales, of RGB, of harmonics, and radians of a long splat."""
+"""Differences with a score of one: logarithms of scales, RGB, harmonics, and rotation of a long splat in radians."""
 
 LIMIT, HARMONICS_LIMIT = 9.0, 4.0
-"""The most that one attribute counts for."""
+"""Largest score of one attribute."""
 
 HARMONICS_PARTS = 4
-"""Numbers that harmonics are summed up in, by fixed random weights: enough to tell splats apart."""
+"""Number of fixed random projections of the harmonics that are compared."""
 
 ROUNDS = 3
-"""How often the mutually nearest are taken out and the others look again."""
+"""Rounds of mutual matching; each links the mutually nearest and removes them."""
 
 SAMPLE = 1024
-"""Rows by which it is found out whether rows are identities."""
+"""Sample size, for example for the test whether rows are identities."""
 
 ROWS_HOLD = 0.9
-"""Share of the sampled rows of which no other splat may be the better continuation."""
+"""Share of the sampled rows whose own row must be the best candidate."""
 
 SEED_LOOKS, SEED_SPREAD = 0.5, 0.25
-"""Looks tell a splat alone when they differ by this at most, and by this share of what the next best does; and how far,
-as a share of its own, its movement may differ from that of others told so.
+"""Looks identify a splat if they differ by this at most, and by this share of the second best difference. Its
+displacement may differ from those of other such splats by the second number, as a share of its length.
 """
 
 TINY = 1e-12
-"""In place of a distance of zero: where splats lie at one place, all that is elsewhere is out of reach."""
+"""Replaces a distance of zero: if splats coincide, everything elsewhere is out of reach."""
 
 FLOW_POINTS, FLOW_NEIGHBOURS = 8192, 4
-"""Moving neighbours that a splat without a velocity takes its own from: how many are looked at, how many nearest."""
+"""Sample of moving splats, and number of nearest ones, from which a splat without a velocity takes the median."""
 
 FLOW_ROUNDS, COMPANIONS, EXPLAINED = 12, 16, 0.05
-"""How often splats are looked for again where their neighbours went, how many of these are asked, and within how much
-of the spacing a splat lies where it was expected.
+"""Largest number of rounds in which doubtful links are searched again, number of neighbours that predict the position,
+and distance from the prediction, as a share of the spacing, up to which a link is explained.
 """
 
 BENDS = 0.7
-"""Velocities are taken to change evenly where splats then lie nearer to where they are looked for by this factor."""
+"""Velocities are extrapolated if that reduces the distance to the predicted positions by this factor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,8 +249,10 @@ class _Linking:
         return even + bends if away[1] < BENDS * away[0] else even
 
     def _part_strangers(self, expected: F64) -> None:
-        """Undo links of splats that look otherwise than those of this pair of frames usually do, and are neither where
-        they were looked for nor where their neighbours went: one ended, and another began beside it.
+        """Undo links of splats whose looks changed more than is usual for this pair of frames, and that are neither at
+        the expected place nor where their neighbours went: one ended, and another began beside it. The neighbours are
+        first those whose looks changed as usual, then all: a thing that turns changes all its splats, but these move
+        together.
         """
         linked = np.flatnonzero((self.rows >= 0) & self._changed)
         came = self.rows[linked]
@@ -260,6 +262,10 @@ class _Linking:
         strange = np.flatnonzero(other & (place > STRANGE_PLACE))
         if len(strange) and not other.all():
             expected = self._moved_with(linked[~other], came[strange])
+            place, _ = self._apart(came[strange], linked[strange], expected)
+            strange = strange[place > STRANGE_PLACE]
+        if len(strange):
+            expected = self._moved_by_others(linked, came[strange])
             place, _ = self._apart(came[strange], linked[strange], expected)
             strange = strange[place > STRANGE_PLACE]
         self._free[came[strange]] = True

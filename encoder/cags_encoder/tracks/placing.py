@@ -19,7 +19,7 @@ from cags_encoder.tracks.looking import Look
 from cags_encoder.tracks.rows import SplatTable
 
 MOTION = ("means", "quats")
-"""Columns of splats that motion is told of, apart from everything else."""
+"""Columns of splats that chunks of motion code."""
 
 LOOKS = ("log_scales", "logit_opacities", "sh0", "sh_rest")
 
@@ -31,7 +31,7 @@ class Told:
     splats: Splats
     """With the largest opacity of what fades, and looks that last."""
     wrong: Mapping[str, F64]
-    """Column of splats -> visible effect [n] by which what is held of it may be wrong before it is told anew."""
+    """Column of splats -> visible effect [n] of the largest error of the decoder's copy without an update."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +52,11 @@ class Placed:
     """What to code of those that look different; None: what is in the delta."""
 
 
-ROOM = 1.5
-"""Ids for each splat that is there, at most: the more of them are free, the closer together lie those of new splats."""
+ROOM = 2.0
+"""Largest number of ids for each living splat. With more free ids, those of new splats lie closer together."""
 
 FASTEST = 1e4
-"""A splat that goes further than so many of its own sizes between two frames is taken for another."""
+"""Largest displacement between two frames, in sizes of the splat; beyond, it counts as another splat."""
 
 
 class ClipPlacer:

@@ -10,6 +10,8 @@ needs no other.
 Where the renderer has too much to do (:mod:`.render_slots`), references are coded *lightly*: by an encoder that takes
 half the time and more bytes, without trials of the other kind, and without a look at what a difference leaves. That is
 half of the time that coding takes.
+
+Of a difference only what lasts while the viewer turns is sent (:mod:`.lasting`).
 """
 
 from __future__ import annotations
@@ -21,12 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.correction import ComparedViews, Look, StagedViews
-from cags_common.correction.compander import ZERO, expand
-from cags_common.geometry import F32, Intrinsics
+from cags_common.correction.compander import ZERO, compand_by_table, expand
+from cags_common.geometry import F32, Camera, Intrinsics
 from cags_common.video.colour import Chroma, rgb_of_ycbcr, ycbcr_of_rgb
 from cags_common.video.h264 import H264Decoder, H264Encoder, is_idr
 from cags_protocol.wire.messages import ANY_REFERENCE, HALF_CHROMA, NO_REFERENCES, Hello, ReferenceKind
 from cags_server.reference.detail import by_block, detail_left
+from cags_server.reference.lasting import Lasting
 from cags_server.reference.lateness import Lateness
 from cags_server.settings import ServerSettings
 
@@ -103,7 +106,7 @@ class Coded:
     before: float = 0.0
     """Mean squared error of the client's render from the reference camera, [0, 1] RGB."""
     after: float | None = 0.0
-    """The same after correction; None: nobody looked."""
+    """What coding leaves of what was to be sent; None: nobody looked."""
 
 
 class _Video:
@@ -149,6 +152,8 @@ class ReferenceCoder:
         self._mean_bytes, self._counted = 0.0, 0
         self.lateness = Lateness()
         """Whether references come in time."""
+        self._lasting = Lasting()
+        self._share: F32 | None = None  # of the difference at hand, to be sent
         self._picture_left = 0.0  # error of the newest picture that was coded
         self._target_bytes = 0.0  # of a picture that needs others; 0: not known
 
@@ -201,8 +206,16 @@ class ReferenceCoder:
         """
         return self.code_views(StagedViews(truth, mirror), idr=idr, octaves=octaves, light=light)
 
-    def code_views(self, views: ComparedViews, *, idr: bool, octaves: float = 0.0, light: bool = False) -> Coded:
-        """As :meth:`code`."""
+    def code_views(
+        self,
+        views: ComparedViews,
+        *,
+        idr: bool,
+        octaves: float = 0.0,
+        light: bool = False,
+        camera: Camera | None = None,
+    ) -> Coded:
+        """As :meth:`code`. Where views have depth and their ``camera`` is known, only what lasts is sent."""
         if not self.kinds:
             return Coded(NOTHING)
         if light is not self._light:
@@ -210,12 +223,14 @@ class ReferenceCoder:
             self._recode(self._crf)
         if self.lateness.often and self.kinds[0] is DIFFERENCE and PICTURE in self.kinds:
             self._change_kind()
-        before = _power(views.lack)
+        before, self._share = _power(views.lack), None
         if self.compares:
             if before < INVISIBLE:
                 return Coded(NOTHING, before=before, after=before)
             if self.kinds[0] is PICTURE and before < self._picture_left:
                 self._change_kind()  # the client's splats alone are better than what a picture would make of them
+            if camera is not None and views.depth is not None:
+                self._share = self._lasting.share(views.lack, camera, views.depth)
         kind = self.kinds[0]
         coded = self._coded(kind, views, idr=idr or self._begin_anew)
         most = KEY_SHARE * self._target_bytes
@@ -241,10 +256,10 @@ class ReferenceCoder:
             unit, decoded = video.coded(truth, idr=idr)
             self._picture_left = _power((truth - decoded)[::LOOKED_AT, ::LOOKED_AT])
             return Coded(kind, unit, self._knee, is_idr(unit), after=self._picture_left)
-        lack = views.lack
+        lack = views.lack if self._share is None else views.lack * self._share[..., None]
         loud, rms = _loud_blocks(lack)
         knee = self._knee = _knee(rms, self._knee)
-        companded = views.companded(knee)
+        companded = views.companded(knee) if self._share is None else compand_by_table(lack, knee)
         if loud is not None:
             companded = np.asarray(cv2.copyTo(companded, loud, np.full_like(companded, ZERO)))
         if self._light:

@@ -51,10 +51,10 @@ def _finest(image: F32) -> F32:
     return np.asarray(image - cv2.blur(image, (3, 3)))
 
 
-def by_block(a: F32, b: F32) -> F32:
-    """Means of ``a b`` [h, w, 3] over blocks of 8 x 8 pixels and the channels."""
+def by_block(a: F32, b: F32, side: int = BLOCK_PX) -> F32:
+    """Means of ``a b`` [h, w, 3] over blocks of ``side`` x ``side`` pixels and the channels."""
     product = cv2.transform(cv2.multiply(a, b), _MEAN)
-    size = -(-a.shape[1] // BLOCK_PX), -(-a.shape[0] // BLOCK_PX)
+    size = -(-a.shape[1] // side), -(-a.shape[0] // side)
     return np.asarray(cv2.resize(product, size, interpolation=cv2.INTER_AREA))
 
 

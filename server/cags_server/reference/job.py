@@ -99,13 +99,13 @@ class FrameJob:
         worth = self.stale.added_to(contribution, self.plan.ahead.frame)
         visible = self.library.visible_tiles(self.plan.ahead.frame, worth, self.visible_px)
         rendered = clock()
-        views = StagedViews(drawn.rgb, self._held(options)) if isinstance(drawn, RenderedView) else drawn
+        views = self._staged(drawn, options) if isinstance(drawn, RenderedView) else drawn
         mirrored = clock()
         octaves = octaves_finer(self.client, self.camera.intrinsics)
         plan = self.plan
         coded = NOTHING
         if views is not None:
-            coded = self.coder.code_views(views, idr=plan.idr, octaves=octaves, light=plan.light)
+            coded = self.coder.code_views(views, idr=plan.idr, octaves=octaves, light=plan.light, camera=self.camera)
         return FrameRender(
             plan=plan,
             intrinsics=self.camera.intrinsics,
@@ -138,12 +138,15 @@ class FrameJob:
             return None
         return scene.compared(held, self.camera, options, knee=self.coder.knee, looks=self.coder.looks)
 
-    def _held(self, options: RenderOptions) -> F32 | None:
-        """The client's render from the reference camera [h, w, 3]; None where it holds nothing, or nobody asks."""
+    def _staged(self, drawn: RenderedView, options: RenderOptions) -> StagedViews:
+        """The true view beside the client's from the same camera, if that holds anything and somebody asks."""
         scene: RasterScene | None = None
         if self.mirror is not None:
             scene = self.mirror.scene_at(self.plan.frame, self.plan.basis)
-        return None if scene is None else scene.render(self.camera, replace(options, contribution=False)).rgb
+        if scene is None:
+            return StagedViews(drawn.rgb, None)
+        held = scene.render(self.camera, replace(options, contribution=False, depth=DepthKind.EXPECTED))
+        return StagedViews(drawn.rgb, held.rgb, held.depth)
 
     def _contribution_ahead(self, contribution: F32, options: RenderOptions) -> F32:
         """[capacity] what splats contribute to the frame whose tiles are planned: as to this one, unless many are new

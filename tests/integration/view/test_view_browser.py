@@ -386,3 +386,78 @@ def test_controls_have_names_and_are_reached_by_tab(page: Any) -> None:
         press(page, "\ue004")
         reached.add(page.execute_script("return document.activeElement.id"))
     assert {"picture", "play", "time", "inspect", "picture-a", "set-restorer", "loop"} <= reached
+
+
+def focused(running: Any) -> str:
+    return str(running.execute_script("return document.activeElement.id || document.activeElement.dataset.mode || ''"))
+
+
+def test_keys_are_the_pages_unless_a_control_takes_them(page: Any, show: BallShow) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    paused(page, show)
+    before = asked(page, "camera.pose.rotation")
+    page.execute_script("document.getElementById('time').focus()")
+    press(page, Keys.ARROW_RIGHT)
+    wait(page, lambda: not asked(page, "player.waiting"))
+    assert asked(page, "camera.pose.rotation") == before, "the slider's arrow turns no camera"
+    press(page, "i")
+    assert page.find_element("id", "inspector").is_displayed(), "a letter is nothing to a slider"
+    page.execute_script("document.getElementById('save-view').focus()")
+    press(page, Keys.ESCAPE)
+    assert not page.find_element("id", "inspector").is_displayed()
+    assert focused(page) == "inspect", "the focus is not lost with what had it"
+
+
+def test_arrows_choose_among_the_cameras_modes(page: Any) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    page.execute_script("document.querySelector('[data-mode=orbit]').focus()")
+    before = asked(page, "camera.pose.rotation")
+    for expected in ("walk", "fly", "orbit"):
+        press(page, Keys.ARROW_RIGHT)
+        assert focused(page) == expected and asked(page, "camera.mode") == expected
+    press(page, Keys.ARROW_LEFT)
+    assert focused(page) == "fly"
+    stops = page.execute_script(
+        "return [...document.querySelectorAll('#modes button')].filter((b) => b.tabIndex === 0).length"
+    )
+    assert stops == 1, "the group is one stop of the tabulator"
+    assert asked(page, "camera.pose.rotation") == before
+
+
+def test_controls_have_names_and_come_in_the_order_in_which_they_are_seen(page: Any) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    press(page, "i")
+    page.execute_cdp_cmd("Accessibility.enable", {})
+    nodes = page.execute_cdp_cmd("Accessibility.getFullAXTree", {})["nodes"]
+    roles = {"button", "slider", "radio", "checkbox", "combobox", "textbox", "link", "Canvas", "application"}
+    controls = [node for node in nodes if not node["ignored"] and node["role"]["value"] in roles]
+    assert len(controls) > 20
+    assert [node for node in controls if not node["name"]["value"].strip()] == []
+    spoken = (
+        "return [...document.querySelectorAll('[role=status], [role=alert], [aria-live], output')].map((e) => e.id)"
+    )
+    assert "clock" not in page.execute_script(spoken), "else it is read out ten times a second"
+    press(page, "i")
+    page.execute_script("document.activeElement.blur(); document.getElementById('picture').focus()")
+    order = []
+    for _ in range(9):
+        press(page, Keys.TAB)
+        order.append(focused(page))
+    assert order == ["play", "time", "orbit", "home", "share", "snapshot", "record", "inspect", "full"]
+
+
+def test_a_phone_has_every_control_in_its_window_and_large_enough_for_a_finger(show: BallShow, tmp_path: Path) -> None:
+    sizes = """return [...document.querySelectorAll('#bar button, #bar input')].filter((e) => e.checkVisibility())
+      .map((e) => [e.id || e.dataset.mode, e.getBoundingClientRect().toJSON()])"""
+    for name, width, height in (("upright", 360, 740), ("lying", 740, 360)):
+        with at_rest(show), chromium(tmp_path / name, width=width, height=height, phone=True) as running:
+            visit(running, show, "?h264")
+            found = running.execute_script(sizes)
+            assert len(found) >= 11
+            for control, box in found:
+                assert box["left"] >= 0 and box["right"] <= width and box["bottom"] <= height, (name, control, box)
+                assert min(box["width"], box["height"]) >= 24, (name, control, box)  # WCAG 2.2, 2.5.8
+            assert complaints(running) == []

@@ -1,8 +1,7 @@
 """How fast the page is on this machine: displayed frames a second and drag-to-photon time, in a real browser.
 
 For the record, not for judgement: run it on a machine that does nothing else (``pytest -m nightly``). The figures go to
-``out/live-page/speed.json`` with the machine's name, the targets beside them; ``live-page.png`` there is the how-to's
-picture.
+``out/live-page/speed.json`` with the machine's name, the targets beside them, and a picture of the page.
 """
 
 from __future__ import annotations

@@ -14,6 +14,8 @@ import pytest
 from cags_common.bundle import BundlePlayer, BundleReader
 from cags_common.splats import Splats
 from cags_common.tiles.kinds import TileKind
+from cags_common.tiles.payloads import decode_base
+from cags_common.tiles.svq import CodebookSet
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.scenes import Focus
 from support.codec_scenes import cloud, with_changes
@@ -158,6 +160,25 @@ def test_linear_motion_is_told_once_a_span(tmp_path: Path) -> None:
         kinds = [tile.kind for k in range(FRAMES) for tile in reader.frame(k).tiles]
         assert kinds.count(TileKind.LOOKS) == 1 and kinds.count(TileKind.UPDATE) == 0
         assert 2 <= kinds.count(TileKind.MOTION) <= 3
+
+
+def test_new_splats_that_move_come_with_coarse_positions_and_their_chunk_makes_them_exact(tmp_path: Path) -> None:
+    first = cloud(SPLATS, 7)
+    frames = []
+    for k in range(6):
+        rows = np.arange(SPLATS if k else SPLATS // 2)
+        frames.append(
+            (with_changes(first, means=first.means + np.float32([0.01 * k, 0, 0])).take(rows), rows.astype(np.int32))
+        )
+    encode(Clip(tuple(frames)), FAST, str(tmp_path / "out"))
+    with BundleReader.open(str(tmp_path / "out")) as reader:
+        looks = next(tile for tile in reader.frame(1).tiles if tile.kind == TileKind.LOOKS)
+        base = decode_base(reader.payload(1, looks.tile, 0), CodebookSet.from_bytes(reader.codebooks()))
+        true, shown = reader.source(1), BundlePlayer(reader).frame(1)
+        rows = np.searchsorted(true.ids, base.ids)
+        off = [np.median(np.abs(means - true.splats.means[rows])) for means in (base.means, shown.splats.means[rows])]
+        assert off[0] > 2 * off[1]
+        assert errors(reader, BundlePlayer(reader), 1)[0] <= 2.0
 
 
 def test_an_attribute_that_changes_is_sent_by_itself(tmp_path: Path) -> None:

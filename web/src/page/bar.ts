@@ -43,7 +43,9 @@ export class Bar {
     the("vr").addEventListener("click", () => wishes.immerse());
     the("full").addEventListener("click", () => fullScreen());
     this.#inspect.addEventListener("click", () => this.inspect(this.#inspector.hidden));
+    the("full").hidden = !document.fullscreenEnabled; // a phone may have none, nor a frame that was not given it
     for (const button of this.#modes()) button.addEventListener("click", () => wishes.mode(button.dataset.mode as Mode));
+    the("modes").addEventListener("keydown", (event) => this.#chooseMode(event));
     this.#time.addEventListener("input", () => (this.#dragged = true));
     this.#time.addEventListener("change", () => {
       this.#dragged = false;
@@ -59,13 +61,28 @@ export class Bar {
   }
 
   inspect(open: boolean): void {
+    if (!open && this.#inspector.contains(document.activeElement)) this.#inspect.focus();
     this.#inspector.hidden = !open;
     this.#inspect.setAttribute("aria-expanded", String(open));
     keep("inspect", open ? "1" : "0");
   }
 
   setMode(mode: Mode): void {
-    for (const button of this.#modes()) button.setAttribute("aria-checked", String(button.dataset.mode === mode));
+    for (const button of this.#modes()) {
+      button.setAttribute("aria-checked", String(button.dataset.mode === mode));
+      button.tabIndex = button.dataset.mode === mode ? 0 : -1;
+    }
+  }
+
+  /** Arrows choose among the modes, as in any group of radio buttons. */
+  #chooseMode(event: KeyboardEvent): void {
+    const step = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.code];
+    if (step === undefined) return;
+    event.preventDefault(); // nor do they turn the camera
+    const buttons = this.#modes();
+    const next = buttons.at((buttons.indexOf(event.target as HTMLElement) + step) % buttons.length)!;
+    next.focus();
+    next.click();
   }
 
   /** Show whether what is shown is being filmed. */
@@ -86,8 +103,10 @@ export class Bar {
     const frame = this.#dragged ? Number(this.#time.value) : Math.round(player.seconds * info.fps);
     if (!this.#dragged) this.#time.value = String(frame);
     const text = `${clock(frame / info.fps)} / ${clock(info.frames / info.fps)}`;
-    if (this.#clock.textContent !== text) this.#clock.textContent = text;
-    this.#time.setAttribute("aria-valuetext", text);
+    if (this.#clock.textContent !== text) {
+      this.#clock.textContent = text;
+      this.#time.setAttribute("aria-valuetext", text);
+    }
     const idle = playing && !player.waiting && !this.inspecting && performance.now() - this.#touchedMs > IDLE_MS;
     this.#stage.toggleAttribute("data-idle", idle);
   }

@@ -12,6 +12,17 @@ export function onChange<T extends HTMLElement>(id: string, apply: (element: T) 
   element.addEventListener("change", () => apply(element));
 }
 
+const SLIDER_KEYS = /^(Arrow|Home$|End$|Page)/;
+
+/** Whether an element that has the focus takes this key itself. Others, such as letters on a slider, are the page's. */
+export function takesKey(target: EventTarget | null, code: string): boolean {
+  if (target instanceof HTMLSelectElement) return true;
+  if (target instanceof HTMLButtonElement) return code === "Space" || code === "Enter";
+  if (!(target instanceof HTMLInputElement)) return false;
+  if (target.type === "checkbox") return code === "Space";
+  return target.type !== "range" || SLIDER_KEYS.test(code);
+}
+
 /** A setting that the browser keeps; undefined where it keeps none. */
 export function kept(name: string): string | undefined {
   try {

@@ -66,7 +66,7 @@ export class DrawnShow implements Show {
     const rendering = (this.#rendering ??= this.#render());
     this.#source ??= connectWorker(new Worker(new URL("worker.js", import.meta.url), { type: "module" }));
     try {
-      const [scene, chroma] = await Promise.all([PUBLISHED ? undefined : this.#bundle(), finestChroma()]);
+      const [scene, chroma] = PUBLISHED ? [] : await Promise.all([this.#bundle(), finestChroma()]); // no references without a server
       if (attempt !== this.#attempts || (!PUBLISHED && !scene)) return;
       this.#chroma = chroma;
       await Promise.race([rendering, undefined]); // throws where it is known that nothing can be drawn

@@ -7,7 +7,7 @@ import { Gestures } from "../player/gestures.ts";
 import { type Opened, openedAs, savedView, titleOf } from "./author.ts";
 import { Bar } from "./bar.ts";
 import { download, Film, pictureOf } from "./capture.ts";
-import { keep, kept, onChange, the } from "./dom.ts";
+import { keep, kept, onChange, takesKey, the } from "./dom.ts";
 import { DrawnShow } from "./drawn.ts";
 import * as embed from "./embed.ts";
 import { Inspector } from "./inspector.ts";
@@ -200,9 +200,7 @@ class Viewer implements Host {
 
   #listen(): void {
     window.addEventListener("keydown", (event) => {
-      if (event.target instanceof HTMLInputElement && (event.target.type !== "checkbox" || event.code === "Space")) return;
-      if (event.target instanceof HTMLSelectElement) return;
-      if (event.target instanceof HTMLButtonElement && (event.code === "Space" || event.code === "Enter")) return;
+      if (event.defaultPrevented || takesKey(event.target, event.code)) return;
       if (this.#bar.key(event, this.player) || this.#gestures.key(event, true)) event.preventDefault();
     });
     window.addEventListener("keyup", (event) => void this.#gestures.key(event, false));

@@ -32,7 +32,10 @@ export class Uploads {
     const [zone, files] = [the("upload"), the<HTMLInputElement>("files")];
     the("choose").addEventListener("click", () => files.click());
     the("cancel").addEventListener("click", () => (this.#sending ? this.#sending.abort() : void this.#ask("upload", { method: "DELETE" })));
-    files.addEventListener("change", () => void this.#send([...(files.files ?? [])]));
+    files.addEventListener("change", () => {
+      void this.#send([...(files.files ?? [])]);
+      files.value = ""; // so that the same file can be chosen again
+    });
     for (const kind of ["dragover", "dragleave", "drop"] as const) {
       document.addEventListener(kind, (event) => {
         event.preventDefault();
@@ -57,18 +60,18 @@ export class Uploads {
     if (bytes > this.#mostBytes) return this.#say(`${files[0].name}: ${(bytes / 1e6).toFixed(0)} MB are more than the ${(this.#mostBytes / 1e6).toFixed(0)} MB that this server takes.`);
     this.#show({ state: "receiving", text: "Sending", share: null, scene: "" });
     const [name, body] = files.length === 1 ? [files[0].name, files[0]] : ["frames.zip", await zipped(files)];
-    this.#sending = new AbortController();
+    const sending = (this.#sending = new AbortController());
     const look = window.setTimeout(() => void this.#look(), LOOK_MS);
     try {
-      const answer = await this.#ask(`upload?${new URLSearchParams({ name })}`, { method: "POST", body, signal: this.#sending.signal });
-      if (!answer.ok) throw new Error(((await answer.json()) as { error: string }).error);
+      const answer = await this.#ask(`upload?${new URLSearchParams({ name })}`, { method: "POST", body, signal: sending.signal });
+      if (!answer.ok) throw new Error(await reasonOf(answer));
       void this.#look();
     } catch (error) {
       clearTimeout(look);
       clearTimeout(this.#looking);
       the("job").hidden = true;
       the("invite").hidden = false;
-      this.#say(error instanceof TypeError ? "The server ended the upload." : (error as Error).message);
+      if (!sending.signal.aborted) this.#say(error instanceof TypeError ? "The server ended the upload." : (error as Error).message);
     } finally {
       this.#sending = null;
     }
@@ -77,12 +80,14 @@ export class Uploads {
   /** Follow the job under way, whoever began it. */
   async #look(): Promise<void> {
     clearTimeout(this.#looking);
+    const again = (): void => void (this.#looking = window.setTimeout(() => void this.#look(), LOOK_MS));
     const answer = await this.#ask("upload").catch(() => undefined);
+    if (!answer && !the("job").hidden) return again(); // the server may be back, and still at it
     if (!answer?.ok) return;
     const job = (await answer.json()) as Job;
     const before = the("job").hidden;
     this.#show(job);
-    if (job.state === "receiving" || job.state === "encoding") this.#looking = window.setTimeout(() => void this.#look(), LOOK_MS);
+    if (job.state === "receiving" || job.state === "encoding") again();
     else if (!before && job.state === "done") this.#done();
     else if (!before && job.state === "failed") this.#say(job.text);
   }
@@ -96,4 +101,10 @@ export class Uploads {
     if (share === null) bar.removeAttribute("value");
     else bar.value = share;
   }
+}
+
+/** Why a server, or a proxy in front of it, takes no file. */
+async function reasonOf(answer: Response): Promise<string> {
+  const said = (await answer.json().catch(() => undefined)) as { error?: string } | undefined;
+  return said?.error ?? `The server answers ${answer.status} ${answer.statusText}.`;
 }

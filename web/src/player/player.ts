@@ -383,9 +383,10 @@ export class Player {
   async #presentDue(now: number): Promise<void> {
     const timeline = this.#timeline;
     const { permille } = this.#quality;
-    const tick = newestDue(nextDue(this.#nextTick, this.#endTick, permille), this.#endTick, permille, (t) => timeline.displayUs(t) <= now);
+    const there = (t: number): boolean => !this.info!.waits || this.#whole.has(timeline.mediaFrame(t)!);
+    const tick = newestDue(nextDue(this.#nextTick, this.#endTick, permille), this.#endTick, permille, (t) => timeline.displayUs(t) <= now && there(t));
     const frame = timeline.mediaFrame(tick)!;
-    if (this.info!.waits && !this.#whole.has(frame)) return this.#stall(frame, now);
+    if (!there(tick)) return this.#stall(frame, now);
     this.#nextTick = tick + 1;
     const following = nextDue(tick + 1, this.#endTick, permille);
     this.#dueUs = following > tick ? timeline.displayUs(following) : null;

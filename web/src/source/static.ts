@@ -48,7 +48,9 @@ export class StaticSource implements SceneSource {
   private base = "";
   private options!: ConnectOptions;
   private listen: (event: SourceEvent) => void = () => {};
+  private manifest: Manifest | undefined; // known before its scene can be decoded
   private scene: SceneStore | undefined;
+  private opened: Promise<SceneStore | undefined> = Promise.resolve(undefined);
   private readonly groups = new Map<number, Group | null>(); // null: its index is under way
   private inFlight = 0;
   private generation = 0; // raised by jumps: what was asked for before them is not stored
@@ -58,7 +60,7 @@ export class StaticSource implements SceneSource {
   private readonly meter = new Meter();
   private bps = FIRST_GUESS_BPS;
   private failures = 0;
-  private begun = false; // the base of a first frame was asked for
+  private first: "missing" | "asked" | "there" = "missing"; // bases up to the frame that a play or a jump begins with
   private ended = false;
   private timer: ReturnType<typeof setInterval> | undefined;
 
@@ -86,6 +88,7 @@ export class StaticSource implements SceneSource {
     if (!this.scene) return;
     if (state.action === "seek" && !this.scene.keeps(state.frame)) {
       this.generation += 1;
+      this.first = "missing";
       this.groups.clear();
       this.scene.reset(state.frame);
       this.listen({ type: "flushed" });
@@ -130,33 +133,40 @@ export class StaticSource implements SceneSource {
 
   // ------------------------------------------------------------------------------------------------------------ fetching
 
+  /** Everything up to the first frame's base is fetched while the decoders are on their way. */
   private async begin(): Promise<void> {
     try {
       const manifest = readManifest(await this.whole("manifest.json"));
       const large = tooLarge(manifest, this.options.maxSplats ?? 4_000_000, this.options.maxMemoryMb ?? 2048);
       if (large) throw new BundleError(large);
       if (!manifest.files.length) throw new BundleError("manifest: does not say where tiles lie");
-      const published = manifest.manifest["published"] as { codebooks?: unknown } | undefined;
-      const name = typeof published?.codebooks === "string" ? published.codebooks : "codebooks.bin";
-      const books = this.whole(name);
-      const index = this.fetchIndex(manifest, gofOf(manifest, this.at)); // meanwhile
-      void index.then(() => this.next(), (error: unknown) => this.fail(error));
-      const [decoders, data] = await Promise.all([this.decoders, books]);
-      if (this.ended) return;
-      const scene = new SceneStore(manifest, decoders, this.at);
-      scene.codebooks(data);
-      this.scene = scene;
-      this.listen({ type: "info", info: sceneInfo(manifest, true) });
+      this.opened = this.open(manifest);
+      this.manifest = manifest;
+      this.next();
+      await this.opened;
       this.next();
     } catch (error) {
       this.fail(error);
     }
   }
 
+  /** The scene, once its codebooks and the decoders are there; undefined: the viewer has left. */
+  private async open(manifest: Manifest): Promise<SceneStore | undefined> {
+    const published = manifest.manifest["published"] as { codebooks?: unknown } | undefined;
+    const name = typeof published?.codebooks === "string" ? published.codebooks : "codebooks.bin";
+    const [decoders, data] = await Promise.all([this.decoders, this.whole(name)]);
+    if (this.ended) return undefined;
+    const scene = new SceneStore(manifest, decoders, this.at);
+    scene.codebooks(data);
+    this.scene = scene;
+    this.listen({ type: "info", info: sceneInfo(manifest, true) });
+    return scene;
+  }
+
   /** Start what is to be fetched next, while few requests are under way. */
   private next(): void {
-    while (this.scene && !this.ended && this.inFlight < AT_ONCE) {
-      const work = this.chosen(this.scene.manifest);
+    while (this.manifest && !this.ended && this.inFlight < AT_ONCE) {
+      const work = this.chosen(this.manifest);
       if (!work) return;
       this.inFlight += 1;
       void work().catch((error: unknown) => this.fail(error)).finally(() => {
@@ -167,6 +177,7 @@ export class StaticSource implements SceneSource {
   }
 
   private chosen(manifest: Manifest): (() => Promise<void>) | undefined {
+    if (this.first === "asked") return undefined; // they have the link, and the decoders, to themselves
     const last = Math.min(this.at + Math.ceil(HORIZON_S * manifest.fps), manifest.frames - 1);
     for (let gof = gofOf(manifest, this.at); gof <= gofOf(manifest, last); gof++) {
       const group = this.groups.get(gof);
@@ -175,7 +186,8 @@ export class StaticSource implements SceneSource {
       const end = gofRange(manifest, gof)[1];
       if (group.asked <= last && group.asked < end) return this.baseOf(gof, group);
     }
-    const ahead = this.scene!.store.ahead(this.at);
+    if (!this.scene) return undefined;
+    const ahead = this.scene.store.ahead(this.at);
     const safe = Math.min(SAFE_S * manifest.fps, manifest.frames - 1 - this.at);
     return ahead >= safe || !this.playing ? this.refinement(manifest) : undefined;
   }
@@ -186,8 +198,8 @@ export class StaticSource implements SceneSource {
 
   private baseOf(gof: number, group: Group): () => Promise<void> {
     const left = group.frames.slice(group.asked - group.frames[0]!.frame);
-    const frames = this.begun ? batch(left) : left.slice(0, 1); // the first picture waits for no other frame
-    this.begun = true;
+    const frames = this.first === "there" ? batch(left) : left.slice(0, Math.max(1, this.at - group.asked + 1));
+    if (this.first === "missing") this.first = "asked";
     group.asked += frames.length;
     for (const frame of frames) for (const entry of frame.tiles) if (entry.kind === "looks") group.levels.set(entry, 1);
     return () => this.fetchFrames(gof, group, frames);
@@ -224,9 +236,11 @@ export class StaticSource implements SceneSource {
   /** The bases of frames, and then their ends. */
   private async fetchFrames(gof: number, group: Group, frames: readonly FrameEntry[]): Promise<void> {
     const removed = new Map<FrameEntry, Uint8Array>();
-    for (const range of ranges(frames.flatMap(baseWishes), frames)) await this.fetchTiles(gof, range, removed);
+    await Promise.all(ranges(frames.flatMap(baseWishes), frames).map((range) => this.fetchTiles(gof, range, removed)));
+    await this.opened;
     for (const frame of frames) group.ready.set(frame.frame, removed.get(frame) ?? new Uint8Array(0));
     if (this.groups.get(gof) !== group) return;
+    this.first = "there";
     for (let ids; this.scene && (ids = group.ready.get(group.told)); group.told++) {
       group.ready.delete(group.told);
       this.end(this.scene, group.told, ids);
@@ -245,15 +259,16 @@ export class StaticSource implements SceneSource {
 
   private async fetchTiles(gof: number, range: Range, removed?: Map<FrameEntry, Uint8Array>): Promise<void> {
     const generation = this.generation;
-    const data = await this.bytes(this.scene!.manifest.files[gof]!.name, range.start, range.end);
+    const data = await this.bytes(this.manifest!.files[gof]!.name, range.start, range.end);
+    const scene = await this.opened;
     for (const frame of range.removed) {
       const ids = data.subarray(frame.removed[0] - range.start, frame.removed[1] - range.start);
       if (crc32(ids) !== frame.removedCrc) throw new BundleError(`frame ${frame.frame}: its removed ids were damaged`);
       removed?.set(frame, ids);
     }
     for (const wish of range.wishes) {
-      if (generation !== this.generation || !this.scene) return;
-      this.store(this.scene, wish, data, range.start);
+      if (generation !== this.generation || !scene || this.ended) return;
+      this.store(scene, wish, data, range.start);
       await breath(); // frames that are asked for meanwhile go first
     }
   }

@@ -20,13 +20,29 @@ function rgbMatrix(): Float32Array {
   );
 }
 
-/** Planes of one picture: Y, Cb and Cr with their strides in bytes. */
-export interface Planes {
+/** Where red, green and blue lie in the four bytes of a pixel. */
+const PACKED = { RGBA: [0, 1, 2], RGBX: [0, 1, 2], BGRA: [2, 1, 0], BGRX: [2, 1, 0] } as const;
+
+/** One picture as a browser hands it out; strides are in bytes. */
+interface Pixels {
   readonly width: number;
   readonly height: number;
   readonly data: Uint8Array;
   readonly layout: readonly { readonly offset: number; readonly stride: number }[];
+}
+
+/** Y, Cb and Cr, each in a plane of its own, or the last two in one. */
+export interface Planes extends Pixels {
   readonly format: "I444" | "I420" | "NV12";
+}
+
+/** RGB that the browser made of the planes itself, as Firefox does. */
+export interface Packed extends Pixels {
+  readonly format: keyof typeof PACKED;
+}
+
+export function isPacked(format: string | null): format is Packed["format"] {
+  return format !== null && Object.hasOwn(PACKED, format);
 }
 
 /** RGB [h, w, 3] in [0, 1]. */
@@ -45,6 +61,18 @@ export function rgbOfPlanes(planes: Planes): Float32Array<ArrayBuffer> {
         out[3 * i + c] = value < 0 ? 0 : value > 1 ? 1 : value;
       }
     }
+  }
+  return out;
+}
+
+/** RGB [h, w, 3] in [0, 1]. */
+export function rgbOfPacked({ width, height, data, layout, format }: Packed): Float32Array<ArrayBuffer> {
+  const out = new Float32Array(3 * width * height);
+  const { offset, stride } = layout[0];
+  const order = PACKED[format];
+  for (let row = 0, i = 0; row < height; row++) {
+    const from = offset + row * stride;
+    for (let at = from; at < from + 4 * width; at += 4) for (const channel of order) out[i++] = data[at + channel] / 255;
   }
   return out;
 }

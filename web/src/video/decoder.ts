@@ -1,7 +1,7 @@
 /** Live H.264 by WebCodecs: one access unit in, one picture out. */
 
 import type { Chroma } from "../seam.ts";
-import { type Planes, rgbOfPlanes } from "./colour.ts";
+import { isPacked, rgbOfPacked, rgbOfPlanes } from "./colour.ts";
 
 /** Of the server's encoder: High 4:4:4 Predictive, and High; level 2.1. */
 const PROBES: readonly (readonly [Chroma, string])[] = [
@@ -59,7 +59,7 @@ export class H264Decoder {
       if (idr && !this.#decoder) await this.#open(accessUnit);
       const frame = await this.#picture(accessUnit, idr);
       try {
-        return rgbOfPlanes(await planesOf(frame, width, height));
+        return await rgbOf(frame, width, height);
       } finally {
         frame.close();
       }
@@ -110,13 +110,14 @@ export class H264Decoder {
   }
 }
 
-async function planesOf(frame: VideoFrame, width: number, height: number): Promise<Planes> {
-  const size = frame.visibleRect!;
-  if (size.width !== width || size.height !== height)
-    throw new VideoError(`a reference of ${size.width}x${size.height} pixels, said to be ${width}x${height}`);
-  const format = frame.format;
-  if (format !== "I444" && format !== "I420" && format !== "NV12") throw new VideoError(`pixel format ${format} is none that is sent`);
-  if (format !== "I444" && (width % 2 || height % 2)) throw new VideoError(`4:2:0 of odd size ${width}x${height}`);
+async function rgbOf(frame: VideoFrame, width: number, height: number): Promise<Float32Array<ArrayBuffer>> {
+  const { format, visibleRect: size } = frame;
+  if (size!.width !== width || size!.height !== height)
+    throw new VideoError(`a reference of ${size!.width}x${size!.height} pixels, said to be ${width}x${height}`);
+  const packed = isPacked(format);
+  if (!packed && format !== "I444" && format !== "I420" && format !== "NV12") throw new VideoError(`pixel format ${format} is none that is sent`);
+  if (!packed && format !== "I444" && (width % 2 || height % 2)) throw new VideoError(`4:2:0 of odd size ${width}x${height}`);
   const data = new Uint8Array(frame.allocationSize());
-  return { width, height, data, format, layout: await frame.copyTo(data) };
+  const layout = await frame.copyTo(data);
+  return packed ? rgbOfPacked({ width, height, data, layout, format }) : rgbOfPlanes({ width, height, data, layout, format });
 }

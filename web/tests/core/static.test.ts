@@ -3,6 +3,8 @@ import { after, test } from "node:test";
 import { setTimeout as sleep } from "node:timers/promises";
 import { crc32 } from "../../src/bytes/crc32.ts";
 import type { ConnectOptions, SourceEvent } from "../../src/seam.ts";
+import type { FrameEntry } from "../../src/source/bundleIndex.ts";
+import { baseWishes, ranges } from "../../src/source/plan.ts";
 import { type Fetch, StaticSource } from "../../src/source/static.ts";
 import { draco, kernels, vectors } from "./vectors.ts";
 
@@ -63,20 +65,56 @@ async function complete(source: StaticSource, frame: number): Promise<{ ids: num
   return { ids, columns: Object.fromEntries(columns) };
 }
 
-test("the scene is looked up while its decoders are on their way", { timeout: 60_000 }, async () => {
+test("all that the first frame needs is fetched while the decoders are on their way, and nothing beside it", { timeout: 60_000 }, async () => {
   const [events, asked]: [Events, string[]] = [[], []];
+  let [underWay, untilWhole] = [0, 0];
   const late = onTheirWay();
-  const source = new StaticSource(late.promise, (at, init) => {
-    asked.push(at.slice(url.length));
-    return fetch(at, init);
+  const source = new StaticSource(late.promise, async (at, init) => {
+    asked.push(`${at.slice(url.length)} ${new Headers(init?.headers).get("range") ?? "all"}`);
+    underWay += 1;
+    return fetch(at, init).finally(() => (underWay -= 1));
   });
   sources.push(source);
-  source.connect(url, OPTIONS, (event) => events.push(event));
-  await until("manifest, codebooks and index", () => asked.length === 3);
-  assert.match(asked[0]!, /manifest/);
+  source.connect(url, OPTIONS, (event) => {
+    events.push(event);
+    if (event.type === "whole" && event.frame === 0) untilWhole = asked.length;
+  });
+  await until("manifest, codebooks, index and the first frame's base", () => asked.length === 4 && !underWay);
+  assert.match(asked[0]!, /manifest.* all$/);
+  assert.match(asked[1]!, /codebooks.* all$/);
+  assert.match(asked[2]!, /gof.* bytes=/);
+  assert.match(asked[3]!, /gof.* bytes=8-/, "where a group's tiles begin");
+  await sleep(100);
   assert.ok(!events.some((event) => event.type === "info"));
+  assert.equal(asked.length, 4);
   late.resolve(await decoders);
   await until("frame 0", () => whole(events, 0));
+  assert.equal(untilWhole, 4, "other frames are asked for once the first is there");
+  await until("frame 1", () => whole(events, 1));
+});
+
+test("after a jump, too, the frame that it goes to is fetched first and alone", { timeout: 60_000 }, async () => {
+  const [events, asked]: [Events, string[]] = [[], []];
+  let [before, wanted]: [number, string[]] = [0, []];
+  const source = opened((at, init) => {
+    asked.push(new Headers(init?.headers).get("range") ?? "all");
+    return fetch(at, init);
+  });
+  source.connect(url, OPTIONS, (event) => {
+    events.push(event);
+    if (event.type === "whole" && event.frame === 3 && events.some(({ type }) => type === "flushed")) wanted = asked.slice(before);
+  });
+  await until("the last frame", () => whole(events, expected.length - 1));
+  source.control({ action: "pause", frame: 0, atUs: 0 });
+  for (let frame = 0; frame < expected.length; frame++) await complete(source, frame);
+  assert.ok(!source.keeps(3));
+  before = asked.length;
+  source.control({ action: "seek", frame: 3, atUs: 0 });
+  await until("frame 3", () => wanted.length);
+  const { groups } = source as unknown as { groups: Map<number, { frames: FrameEntry[] }> };
+  const needed = [...groups.values()][0]!.frames.filter(({ frame }) => frame <= 3);
+  const ends = ranges(needed.flatMap(baseWishes), needed).map(({ start, end }) => `bytes=${start}-${end - 1}`);
+  assert.deepEqual(wanted.slice(1).sort(), ends.sort(), "index, then what frame 3 needs");
 });
 
 test("a viewer that leaves before its decoders have come takes nothing with it", { timeout: 60_000 }, async () => {

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cags_common.motion.chunk import FADE_STEP, FADE_WIDTHS
-from cags_encoder.motion.fades import fit_fades, peaks
+from cags_encoder.motion.fades import WORST_FIT, fit_fades, peaks
 
 
 def gaussian(centres: np.ndarray, widths: np.ndarray, peak: np.ndarray, frames: int) -> np.ndarray:
@@ -30,6 +30,22 @@ def test_gaussians_of_time_are_found_wherever_their_centre_lies() -> None:
     assert fits[some].mean() > 0.95
     error = np.where(present, np.abs(drawn(fades, peak, np.full(400, 8.0), 17) - true), 0.0)
     assert np.percentile(error[:, fits & some], 99) < 0.1
+
+
+@pytest.mark.parametrize("centre", np.arange(-6.0, 10.1, 0.7))
+@pytest.mark.parametrize("frames", [2, 3, 5])
+def test_a_few_samples_of_a_gaussian_are_a_fade(centre: float, frames: int) -> None:
+    width = np.array([1.1, 1.5, 2.3, 3.6])
+    true = gaussian(np.full(4, centre), width, np.full(4, 0.9), frames)
+    fades, fits = fit_fades(true, np.ones(true.shape, bool), np.full(4, 0.88), np.full(4, (frames - 1) / 2))
+    off = np.sqrt(np.square(drawn(fades, np.full(4, 0.88), np.full(4, (frames - 1) / 2), frames) - true).mean(axis=0))
+    assert fits.all() and (off < WORST_FIT).all()
+
+
+def test_the_last_frame_of_a_life_is_a_fade() -> None:
+    true, present = np.full((5, 1), 0.2), np.arange(5)[:, None] == 0
+    fades, fits = fit_fades(true, present, np.array([0.8]), np.zeros(1))
+    assert fits[0] and drawn(fades, np.array([0.8]), np.zeros(1), 1)[0, 0] == pytest.approx(0.2, abs=0.06)
 
 
 def test_what_is_even_needs_none_and_what_jumps_is_told_to_fit_nothing() -> None:

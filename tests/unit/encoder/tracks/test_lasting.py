@@ -61,6 +61,16 @@ def test_noise_is_told_as_its_mean() -> None:
     assert np.allclose(told.splats.sh0, grey(noise.mean(axis=0)), atol=1e-6)
 
 
+def test_noise_beyond_the_tolerance_is_told_once_and_a_trend_is_followed() -> None:
+    noise = 1.5 * MOST * np.random.default_rng(2).choice([-1.0, 1.0], (16, N))
+    told = lasting(splats(grey(noise[0])), np.arange(N), frames([splats(grey(row)) for row in noise[1:]]), MOST)
+    assert np.allclose(told.wrong["sh0"], FASTER * MOST)
+    assert np.allclose(told.splats.sh0, grey(noise.mean(axis=0)), atol=1e-6)
+    trend = 0.6 * MOST * np.arange(16)[:, None] * np.ones(N)
+    told = lasting(splats(grey(trend[0])), np.arange(N), frames([splats(grey(row)) for row in trend[1:]]), MOST)
+    assert np.all(told.wrong["sh0"] < 2 * MOST)
+
+
 def test_what_stays_keeps_its_bits_and_a_jump_ends_what_lasts() -> None:
     stays = np.arange(N) < 3
     after = splats(np.where(stays[:, None], grey(0.3), grey(0.9)))

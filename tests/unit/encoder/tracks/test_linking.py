@@ -188,3 +188,13 @@ def test_a_surface_of_alike_splats_that_leaps_by_their_spacing_is_linked_by_its_
     order = random.permutation(len(base))
     rows = links(alike, moved(alike, push).take(order))
     assert np.mean(rows == order) >= 0.98
+
+
+def test_neighbours_that_change_their_looks_and_move_together_are_no_strangers() -> None:
+    rest, thing = cloud(2000, 0), cloud(60, 1)
+    thing = with_changes(thing, means=0.02 * thing.means + np.float32([9, 0, 0]))
+    before = Splats.concatenate([rest, thing])
+    turned = with_changes(moved(thing, [0.05, 0.05, 0]), log_scales=thing.log_scales + np.float32(0.25))
+    after = Splats.concatenate([rest, turned])
+    order = np.random.default_rng(0).permutation(len(after))
+    assert np.mean(links(before, after.take(order)) == order) >= 0.99

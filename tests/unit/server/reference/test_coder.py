@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
+from cags_common.correction import StagedViews
 from cags_common.correction.compander import expand
-from cags_common.geometry import F32, Intrinsics, Pose
+from cags_common.geometry import F32, Camera, Intrinsics, Pose
 from cags_common.video.h264 import H264Decoder, is_idr
 from cags_protocol.wire.limits import PROTOCOL_VERSION
 from cags_protocol.wire.messages import Hello, ReferenceKind
@@ -279,3 +280,23 @@ def test_wrong_detail_that_a_display_shows_speaks_for_pictures(octaves: float, k
     one = coder(replace(SMALL, reference_crf=24.0))
     kinds = [one.code(truth, truth + grain, idr=not number, octaves=octaves).kind for number in range(50)]
     assert kinds[-1] is kind
+
+
+def test_of_a_difference_only_what_lasts_is_sent() -> None:
+    """A blob that is lacking from one pose alone would be shown from others."""
+    one, other = (coder(replace(SMALL, references="difference", reference_crf=10.0)) for _ in range(2))
+    truth = moving(1)[0]
+    wrong = np.float32(0.03) * (moving(1, sigma_px=1.0)[0] - np.float32(0.5))
+    blob = np.zeros_like(truth)
+    cv2.circle(blob, (40, 30), 3, (0.06, 0.06, 0.06), -1)
+    depth, camera = np.full(truth.shape[:2], 2.0, np.float32), Camera(Intrinsics.of_fov(96, 64, 1.0, 0.8), HELLO.pose)
+    decoder = H264Decoder()
+    for number, lack in enumerate((wrong, wrong + blob)):
+        views = StagedViews(truth, truth - lack, depth)
+        coded = one.code_views(views, idr=not number, camera=camera)
+        whole = other.code_views(views, idr=not number)
+        decoded = decoder.decode(coded.access_unit)
+        assert decoded is not None
+        said = expand(decoded, coded.knee)
+        assert power(said - wrong) < power(wrong) / 2
+        assert coded.before == whole.before, "what is lacking is told whole"

@@ -1,0 +1,112 @@
+"""What of a difference is sent: that which does not go when the viewer turns."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from cags_common.geometry import F32, Camera, Intrinsics, Pose
+from cags_server.reference.lasting import NEWS, RESAMPLING, SMALL, Lasting
+
+INTRINSICS = Intrinsics.of_fov(160, 120, 1.0, 0.8)
+DEPTH = np.full((120, 160), 2.0, np.float32)
+
+
+def camera(x_m: float = 0.0, yaw_rad: float = 0.0) -> Camera:
+    return Camera(INTRINSICS, Pose((x_m, 0.0, 0.0), (float(np.cos(yaw_rad / 2)), 0.0, float(np.sin(yaw_rad / 2)), 0.0)))
+
+
+def texture(seed: int = 0, columns: int = 160) -> F32:
+    """Of a mean square of 1e-5: 50 dB."""
+    noise = np.random.default_rng(seed).normal(size=(120, columns, 3)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 2.0)
+    return np.asarray(smooth * np.float32(np.sqrt(1e-5 / np.mean(smooth**2))))
+
+
+def shared(before: F32, now: F32, seen: Camera | None = None, depth: F32 = DEPTH) -> F32 | None:
+    lasting = Lasting()
+    assert lasting.share(before, camera(), depth) is None
+    return lasting.share(now, seen or camera(), depth)
+
+
+def test_what_was_lacking_before_is_sent_whole() -> None:
+    share = shared(texture(), texture())
+    assert share is not None
+    assert share.shape == (120, 160)
+    assert share.min() > 0.99
+
+
+def test_a_blob_that_was_not_lacking_before_is_left_out() -> None:
+    blob = np.zeros((120, 160, 3), np.float32)
+    cv2.circle(blob, (100, 40), 6, (0.04, 0.04, 0.04), -1)
+    share = shared(texture(), texture() + blob)
+    assert share is not None
+    assert share[40, 100] < 0.15
+    assert np.median(share) > 0.95
+
+
+def test_what_is_unlike_what_was_lacking_before_is_hardly_sent() -> None:
+    share = shared(texture(1), texture(2))
+    assert share is not None
+    assert share.mean() < 0.3
+
+
+@pytest.mark.parametrize("depth_m", [1.0, 4.0])
+def test_a_step_aside_is_undone_by_depth(depth_m: float) -> None:
+    wall = texture(columns=180)
+    step_m = 10 * depth_m / INTRINSICS.fx_px  # ten pixels
+    depth = np.full_like(DEPTH, depth_m)
+    before, now = (np.ascontiguousarray(wall[:, at : at + 160]) for at in (0, 10))
+    stepped, stood = shared(before, now, camera(x_m=step_m), depth), shared(before, now, camera(), depth)
+    assert stepped is not None
+    assert stood is not None
+    assert stepped.mean() > 0.95 > 0.4 > stood.mean()
+
+
+def test_what_comes_into_view_counts_as_the_rest_of_the_picture_does() -> None:
+    wall = texture(columns=220)
+    before, now = (np.ascontiguousarray(wall[:, at : at + 160]) for at in (0, 60))
+    step = camera(x_m=60 * 2.0 / INTRINSICS.fx_px)
+    for kept in (1.0, 0.5):
+        share = shared(kept * before, now, step)
+        assert share is not None
+        assert share[:, 110:].mean() == pytest.approx(min(RESAMPLING * kept, 1), abs=0.05)
+
+
+def test_all_of_a_large_difference_is_sent() -> None:
+    large, half, small = (np.float32(np.sqrt(power * SMALL / 1e-5)) for power in (3.0, 1.5, 0.9))
+    assert shared(large * texture(1), large * texture(2)) is None
+    halved, little = shared(half * texture(1), half * texture(2)), shared(small * texture(1), small * texture(2))
+    assert halved is not None
+    assert little is not None
+    assert 1 - halved.mean() == pytest.approx((1 - little.mean()) / 2, rel=0.1)
+
+
+def test_holes_and_what_lies_behind_the_camera_do_not_count() -> None:
+    depth = DEPTH.copy()
+    depth[:, :80] = np.inf
+    share = shared(texture(), texture(), replace(camera(), pose=Pose((0.0, 0.0, -3.0), (0.0, 0.0, 1.0, 0.0))), depth)
+    assert share is not None
+    assert np.isfinite(share).all()
+    assert share.min() >= 0
+    assert share.max() <= 1
+
+
+def test_it_is_what_lacks_on_the_splats_that_is_large_or_small() -> None:
+    depth = np.full_like(DEPTH, np.inf)
+    depth[40:70, 60:90] = 2.0  # an object that covers a twentieth of the picture
+    on = np.isfinite(depth).astype(np.float32)[..., None]
+    large, small = (np.float32(np.sqrt(of * SMALL / 1e-5)) for of in (3.0, 0.5))
+    assert shared(on * large * texture(1), on * large * texture(2), depth=depth) is None
+    assert shared(on * small * texture(1), on * small * texture(2), depth=depth) is not None
+
+
+def test_a_large_splat_out_of_order_is_told_from_splats_that_have_come() -> None:
+    before = np.float32(np.sqrt(0.5 * SMALL / 1e-5)) * texture(1)
+    for growth, whole in ((NEWS * 0.8, False), (NEWS * 1.2, True)):
+        now = np.float32(np.sqrt(growth * 0.5 * SMALL / 1e-5)) * texture(2)
+        assert (shared(before, now) is None) is whole
+        assert shared(now, before) is not None, "what is small now is looked at, whatever came before"
