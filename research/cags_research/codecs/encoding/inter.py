@@ -67,7 +67,8 @@ def _changing(frames: Sequence[Splats], *, known: bool) -> list[Splats]:
 def _by_itself(codec: VideoCodec, tiles: Sequence[ByteSplats]) -> np.ndarray:
     """Bytes of the later frames by quality, as tiles that are sent today."""
     ids = np.arange(len(tiles[0].means), dtype=np.int32)
-    return np.array([[len(p) for p in codec.encode_tile(ids, tile, id_range=True)] for tile in tiles[1:]]).sum(axis=0)
+    sizes = [[len(p) for p in codec.encode_tile(ids, tile, id_range=True)] for tile in tiles[1:]]
+    return np.array([sum(of_quality) for of_quality in zip(*sizes, strict=True)])
 
 
 def _predicted(codec: VideoCodec, tiles: Sequence[ByteSplats]) -> np.ndarray:
