@@ -138,7 +138,7 @@ class Methods(dict[str, Method]):
     def __missing__(self, name: str) -> Method:
         """The method called ``name``. Raises :class:`KeyError` for an unknown one."""
         setting, seam, which = added.split(name)
-        changes = {seam.side: {setting: which}}
+        changes: dict[str, Any] = {seam.side: {setting: which}}
         return Method(f"CAGS, {setting} {which}", f"ours, with the {seam.what} {which}, which was added", **changes)
 
 

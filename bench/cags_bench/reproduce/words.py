@@ -69,11 +69,16 @@ def leads(figures: Path) -> str:
     found: dict[tuple[str, str], dict[str, str]] = {}
     for line in lines:
         if line["baseline"] in titles:
-            cell = f"{line['lead']:+.1f} ({line['95 % from']:.1f} to {line['to']:.1f})"
+            cell = f"{line['lead']:+.1f} ({_figure(line['95 % from'])} to {_figure(line['to'])})"
             found.setdefault((line["scene"], line["link"]), {})[line["baseline"]] = cell
     titles = {title: name for title, name in titles.items() if any(title in cells for cells in found.values())}
     rows = [(*at, *(cells.get(title, "-") for title in titles)) for at, cells in found.items()]
     return _where(lines) + _table(("scene", "link", *titles), rows)
+
+
+def _figure(value: float | None) -> str:
+    """A bound in tenths; one that is not finite, as those of very short plays, is none in JSON."""
+    return "unknown" if value is None else f"{value:.1f}"
 
 
 def _where(lines: Sequence[JsonObject]) -> str:
@@ -103,7 +108,7 @@ def full(figures: Path) -> str:
     rows = [
         (
             *(line[name] for name in ("scene", "link", "method", "frames")),
-            f"{line['PSNR [dB]']:.1f} ({line['95 % from']:.1f} to {line['to']:.1f})",
+            f"{line['PSNR [dB]']:.1f} ({_figure(line['95 % from'])} to {_figure(line['to'])})",
             f"{line['PSNR, 5th percentile']:.1f}",
             f"{line['SSIM']:.4f}",
             f"{line['processor [s]']:.0f}",

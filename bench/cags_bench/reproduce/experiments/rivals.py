@@ -170,8 +170,9 @@ def _duel(context: Context, scene: str, mbps: float | None, method: str, rival: 
     if not {method, rival} <= set(context.plan.methods) or not all(context.there(case) for case in cases):
         return []
     ours, theirs = (context.result(case) for case in cases)
-    series = [[float(frame[PSNR]) for frame in one["frames"]] for one in (ours, theirs)]
-    return [Duel(scene, link_title(mbps), mbps, rival, ours["summary"], theirs["summary"], *series, method=method)]
+    ours_db, theirs_db = ([float(frame[PSNR]) for frame in one["frames"]] for one in (ours, theirs))
+    link = link_title(mbps)
+    return [Duel(scene, link, mbps, rival, ours["summary"], theirs["summary"], ours_db, theirs_db, method)]
 
 
 def _spent(context: Context) -> str:

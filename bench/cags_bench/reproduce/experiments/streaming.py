@@ -6,8 +6,6 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from cags_bench.confidence import paired, pooled
 from cags_bench.jsonl import JsonObject, check
 from cags_bench.reproduce.cases import StreamCase, averaged
@@ -151,7 +149,7 @@ def ablations(context: Context) -> Section:
         for mbps in ABLATION_MBPS:
             gains = {scene: _gains(context, scene, mbps, with_it, without) for scene in context.plan.scenes}
             found = {scene: paired(*series) for scene, series in gains.items()}
-            found["all scenes"] = pooled([np.subtract(*series) for series in gains.values()])
+            found["all scenes"] = pooled([_differences(*series) for series in gains.values()])
             of = METHODS[with_it].title
             rows += [[part, of, link_title(mbps), s, one.mean, one.low, one.high] for s, one in found.items()]
     return Section(
@@ -175,11 +173,15 @@ def _gains(
     return ours, theirs
 
 
+def _differences(ours: Sequence[float], theirs: Sequence[float]) -> list[float]:
+    return [a - b for a, b in zip(ours, theirs, strict=True)]
+
+
 def _brings(context: Context, part: str, with_it: str, without: str) -> JsonObject:
     """Whether ``part`` is sure to bring something at 30 Mbps, over all scenes."""
     mbps = ABLATION_MBPS[0]
     gains = (_gains(context, scene, mbps, with_it, without) for scene in context.plan.scenes)
-    found = pooled([np.subtract(*series) for series in gains])
+    found = pooled([_differences(*series) for series in gains])
     return check(f"{part}: brings something at {link_title(mbps)}", "> 0 dB", f"{found} dB", found.above(0.0))
 
 

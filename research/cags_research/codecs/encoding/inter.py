@@ -44,7 +44,7 @@ def saving(source: FrameSource) -> float:
     assert isinstance(codec, VideoCodec)
     alone, together = np.zeros(len(CRFS)), np.zeros(len(CRFS))
     for first, end in tile_ranges(len(frames[0]), KEY_TILE_SPLATS):
-        tiles = [codec.quantise(frame).take(slice(first, end)) for frame in frames]
+        tiles = [codec.quantise(frame).take(np.arange(first, end)) for frame in frames]
         alone += _by_itself(codec, tiles)
         together += _predicted(codec, tiles)
     return max(1.0, float((alone / together).max()))
@@ -67,7 +67,8 @@ def _changing(frames: Sequence[Splats], *, known: bool) -> list[Splats]:
 def _by_itself(codec: VideoCodec, tiles: Sequence[ByteSplats]) -> np.ndarray:
     """Bytes of the later frames by quality, as tiles that are sent today."""
     ids = np.arange(len(tiles[0].means), dtype=np.int32)
-    return np.sum([[len(p) for p in codec.encode_tile(ids, tile, id_range=True)] for tile in tiles[1:]], axis=0)
+    sizes = [[len(p) for p in codec.encode_tile(ids, tile, id_range=True)] for tile in tiles[1:]]
+    return np.array([sum(of_quality) for of_quality in zip(*sizes, strict=True)])
 
 
 def _predicted(codec: VideoCodec, tiles: Sequence[ByteSplats]) -> np.ndarray:

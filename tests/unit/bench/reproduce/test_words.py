@@ -48,10 +48,12 @@ def test_a_lead_stands_with_its_interval_beside_its_scene_and_link(tmp_path) -> 
         tmp_path / "rivals.jsonl",
         {**lead, "method": ours, "baseline": "LTS-F"},
         {**lead, "method": ours, "baseline": "CR w/o ref."},
+        {**lead, "method": ours, "baseline": "LTS-F", "scene": "short", "95 % from": None, "to": None},
         {**lead, "method": published, "baseline": "LTS-F", "lead": 1.0},
     )
     text = renewed("<!-- made: leads -->\n<!-- end -->", tmp_path)
     assert "| room | 30 Mbps | +6.0 (5.0 to 7.1) |" in text
+    assert "| short | 30 Mbps | +6.0 (unknown to unknown) |" in text
 
 
 def test_sessions_of_the_full_size_stand_with_what_they_took(tmp_path) -> None:
