@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cags_common.correction.compander import compand_by_table
 from cags_common.correction.views import Look
 from cags_common.geometry import F32, Camera
-from cags_common.raster.base import RenderOptions
+from cags_common.raster.base import DepthKind, RenderOptions
 from cags_common.raster.checks import check_camera
 from cags_gpu.device import DeviceLostError
 from cags_gpu.graph import build, encode
@@ -53,8 +53,6 @@ class DeviceViews:
     """
 
     compared = True
-    depth = None
-    """Not drawn: differences are sent whole."""
 
     def __init__(
         self, scenes: tuple[SceneOnDevice, SceneOnDevice], job: Comparison, resident: ResidentScene, target: Target
@@ -62,13 +60,16 @@ class DeviceViews:
         self._scenes, self._job, self._target = scenes, job, target
         self._workspace = resident.workspace
         self._read: dict[Look, F32] = {}
-        self.contribution = np.zeros(0, np.float32)
+        self.depth = self.contribution = np.zeros(0, np.float32)
 
     def take(self, looks: Collection[Look], outputs: list[NDArray[np.uint8]]) -> None:
-        """``looks`` have come, and contributions last."""
-        for look, out in zip(looks, outputs, strict=False):
+        """Read the outputs of :meth:`Comparison.draw` for ``looks``."""
+        *seen, depth, contribution = outputs
+        for look, out in zip(looks, seen, strict=True):
             self._read[look] = self._unpacked(look, out)
-        self.contribution = outputs[-1].view(np.float32).copy()
+        camera = self._job.camera
+        self.depth = depth.view(np.float32).reshape(camera.height_px, camera.width_px).copy()
+        self.contribution = contribution.view(np.float32).copy()
 
     @property
     def truth(self) -> F32:
@@ -124,18 +125,19 @@ class Comparison:
     def draw(
         self, truth: ResidentScene, mirror: ResidentScene, target: Target, looks: Collection[Look]
     ) -> list[NDArray[np.uint8]]:
-        """Bytes of ``looks``, then of the truth's contributions."""
+        """Bytes of ``looks``, then of the mirror's depth and of the truth's contributions."""
         width, height = self.camera.width_px, self.camera.height_px
         seen = [(target[BUFFERS[look]], SEEN_BYTES * width * height) for look in looks]
 
         def record(recording: Recording) -> Outputs:
             # the mirror last and without contributions: those of the truth stay where they are
             truth.record_into(recording, target, self.camera, replace(self.options, contribution=True))
-            held = mirror.record(recording, self.camera, replace(self.options, contribution=False), role=MIRROR)
+            drawn = replace(self.options, contribution=False, depth=DepthKind.EXPECTED)
+            held = mirror.record(recording, self.camera, drawn, role=MIRROR)
             job = target.uniform("compand_job", COMPAND.pack(size=(width, height), knee=self.knee))
             named = {"compand_job": job, "truth": target["picture"], "mirror": held["picture"]}
             steps = build(truth.gpu, "compand", target.counts, {}, lambda name: named.get(name) or target[name])
             encode(recording.encoder, steps)
-            return [*seen, (truth.workspace["contribution"], 4 * truth.count)]
+            return [*seen, (held["depth"], 4 * width * height), (truth.workspace["contribution"], 4 * truth.count)]
 
         return submitted(truth.workspace, record)

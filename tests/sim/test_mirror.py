@@ -14,8 +14,9 @@ from cags_client.frame.pipeline import ClientPipeline
 from cags_client.frame.presented import PresentedFrame
 from cags_client.playback.player import Player
 from cags_client.settings import ClientSettings
-from cags_common.geometry import F32, Camera
-from cags_common.raster.base import RenderOptions
+from cags_common.correction.views import StagedViews
+from cags_common.geometry import Camera
+from cags_common.raster.base import RenderedView, RenderOptions
 from cags_common.splats import Splats
 from cags_encoder import EncodeSettings
 from cags_server.reference.job import FrameJob
@@ -42,15 +43,15 @@ class Compared:
         self.frames: list[int] = []
         self._made: dict[tuple[int, int], Splats] = {}
         """By frame and mark of the newest connection."""
-        held, present = FrameJob._held, ClientPipeline.present
+        staged, present = FrameJob._staged, ClientPipeline.present
 
-        def noted(job: FrameJob, options: RenderOptions) -> F32 | None:
-            drawn = held(job, options)
+        def noted(job: FrameJob, drawn: RenderedView, options: RenderOptions) -> StagedViews:
+            views = staged(job, drawn, options)
             assert job.mirror is not None
-            if drawn is not None:
+            if views.compared:
                 assert job.mirror.splats is not None
                 self._made[job.plan.frame, job.plan.basis] = copied(job.mirror.splats)
-            return drawn
+            return views
 
         def compared(
             pipeline: ClientPipeline, frame: int, camera: Camera, share: float = 0.0, *, half: bool = False
@@ -64,7 +65,7 @@ class Compared:
                     self._compare(pipeline, frame, basis)
             return shown
 
-        patch.setattr(FrameJob, "_held", noted)
+        patch.setattr(FrameJob, "_staged", noted)
         patch.setattr(ClientPipeline, "present", compared)
 
     def _compare(self, pipeline: ClientPipeline, frame: int, basis: int) -> None:

@@ -21,7 +21,7 @@ from cags_common.geometry import F32, Camera
 from cags_server.reference.detail import BLOCK_PX, by_block
 
 STEP_PX = 2
-"""Every so many-th row and column is compared."""
+"""Every second row and column is compared."""
 
 DOUBT = 3e-7
 """Mean squared difference, [0, 1] RGB, at which a block's share is half that of the whole picture."""
@@ -54,7 +54,7 @@ class Lasting:
 
         ``depth`` [h, w] is that of the client's splats from there, camera-space z; +inf where there are none.
         """
-        power = cv2.norm(lack, cv2.NORM_L2SQR) / max(3 * np.count_nonzero(np.isfinite(depth)), 1)
+        power = cv2.norm(lack, cv2.NORM_L2SQR) / max(3 * int(np.count_nonzero(np.isfinite(depth))), 1)
         before, self._before = self._before, (lack, camera, power)
         if before is None:
             return None
@@ -84,6 +84,6 @@ def _moved(lack: F32, drawn_from: Camera, camera: Camera, depth: F32) -> tuple[F
     x, y = x / z - 0.5, y / z - 0.5
     height, width = lack.shape[:2]
     seen = ahead & (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-    place = [np.where(seen, at, -2).astype(np.float32) for at in (x, y)]
-    moved = cv2.remap(lack, *place, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(0, 0, 0))
+    x, y = (np.where(seen, at, -2).astype(np.float32) for at in (x, y))
+    moved = cv2.remap(lack, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(0, 0, 0))
     return np.asarray(moved, np.float32), seen.astype(np.float32)

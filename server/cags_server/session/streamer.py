@@ -41,7 +41,7 @@ from cags_server.reference.video import ReferenceVideo
 from cags_server.reference.worth import Worth
 from cags_server.scene.library import SceneLibrary
 from cags_server.scene.visible_tiles import VisibleTile
-from cags_server.session.arrivals import FrameArrivals
+from cags_server.session.frame_arrivals import FrameArrivals
 from cags_server.session.schedule import Schedule
 from cags_server.session.startup import Startup
 from cags_server.session.tile_sender import TileSender

@@ -35,7 +35,7 @@ def test_splitting(spec: str, head: str, options: dict[str, str]) -> None:
         ("procedural:size=600,size=700", "'size' is given twice"),
         ("procedural:fps=nan", "fps = nan must be finite"),
         ("motion:", "names no capture"),
-        ("", "names nothing"),
+        ("", "scene '' has no name"),
     ],
 )
 def test_wrong_options(spec: str, words: str) -> None:

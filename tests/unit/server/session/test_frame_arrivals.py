@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from cags_server.records import StreamStats
-from cags_server.session.arrivals import FrameArrivals
+from cags_server.session.frame_arrivals import FrameArrivals
 
 PERIOD_US = 100_000
 
