@@ -60,7 +60,8 @@ class DeviceViews:
         self._scenes, self._job, self._target = scenes, job, target
         self._workspace = resident.workspace
         self._read: dict[Look, F32] = {}
-        self.depth = self.contribution = np.zeros(0, np.float32)
+        self.depth: F32 = np.zeros((0, 0), np.float32)
+        self.contribution: F32 = np.zeros(0, np.float32)
 
     def take(self, looks: Collection[Look], outputs: list[NDArray[np.uint8]]) -> None:
         """Read the outputs of :meth:`Comparison.draw` for ``looks``."""

@@ -32,12 +32,14 @@ twice as much they no longer do: blending order is a small error.
 """
 
 NEWS = 10.0
-"""Splats have come or moved where a difference has grown by more than this factor; a large splat that is blended in
-another order brings less.
+"""Splats have come or moved where one difference is larger than the other by more than this factor, and the earlier one
+says nothing about this one. A large splat that is blended in another order brings less.
 """
 
-RESAMPLING = 1.2
-"""What lasts whole is found again by 1 / 1.2 of it, because moving it blurs it: measured on objects and rooms."""
+WHOLE = 0.5
+"""A block is sent whole where at least this share of it is found again. Even of what lasts not all is found: moving
+blurs it by a sixth, and splats that move by themselves are looked for in the wrong place.
+"""
 
 FARTHEST, NEAREST = 1e4, 1e-3
 """Depths, world units, that holes and points beside the camera are given."""
@@ -59,8 +61,8 @@ class Lasting:
         if before is None:
             return None
         lack_before, camera_before, power_before = before
-        grown = power > NEWS * power_before
-        counts = float(np.clip(2 - (power if grown else min(power, power_before)) / SMALL, 0, 1))
+        less, more = sorted((power, power_before))
+        counts = float(np.clip(2 - (more if more > NEWS * less else less) / SMALL, 0, 1))
         if not counts:
             return None
         now = np.ascontiguousarray(lack[::STEP_PX, ::STEP_PX])
@@ -68,7 +70,7 @@ class Lasting:
         now *= seen[..., None]
         together, alone = (by_block(now, other, BLOCK_PX // STEP_PX) for other in (earlier, now))
         whole = together.sum() / max(alone.sum(), DOUBT)
-        share = np.clip(RESAMPLING * (together + DOUBT * whole) / (alone + DOUBT), 0, 1)
+        share = np.clip((together + DOUBT * whole) / (alone + DOUBT) / WHOLE, 0, 1)
         share = (1 - counts * (1 - share)).astype(np.float32)
         return np.asarray(cv2.resize(share, (lack.shape[1], lack.shape[0]), interpolation=cv2.INTER_LINEAR))
 

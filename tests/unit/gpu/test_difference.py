@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cags_common.correction import ComparingScene, Look, Reference, StagedViews
-from cags_common.raster import Footprint, create
+from cags_common.raster import DepthKind, Footprint, create
 from cags_gpu import submission
 from cags_gpu.correct import corrected
 from cags_gpu.difference import DeviceViews
@@ -54,6 +54,8 @@ def test_the_pictures_are_those_of_two_renders_whichever_come_first(looks: tuple
     assert np.abs(right.lack).max() > 0.05
     by_cpu = create("cpu").load(plates()).render(SERVER, OPTIONS)
     np.testing.assert_allclose(ours.contribution, by_cpu.contribution, rtol=1e-3, atol=5e-3)
+    depth = held.render(SERVER, replace(EXACT, depth=DepthKind.EXPECTED)).depth
+    np.testing.assert_array_equal(ours.depth, depth)
 
 
 def test_one_submission_brings_what_was_asked_for_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -68,7 +70,7 @@ def test_one_submission_brings_what_was_asked_for_and_no_more(monkeypatch: pytes
     truth, held = scenes()
     ours = compared(truth, held, Look.LACK, Look.COMPANDED)
     pixels = SERVER.width_px * SERVER.height_px
-    assert read == [16 + 16 * pixels + 4 * len(truth)]
+    assert read == [16 + 16 * pixels + 4 * pixels + 4 * len(truth)], "the state, two pictures, the depth, contributions"
     assert ours.companded(0.1).shape == ours.lack.shape
     assert len(read) == 1
     assert ours.truth.shape == ours.lack.shape
