@@ -51,7 +51,7 @@ class FrameRecord:
     """The same after correction; None: nobody looked."""
     visible_tiles: int = 0
     level: float = 0.0
-    """Levels that the client holds of the looks in view, in the mean over the picture."""
+    """Mean level that the client holds of the looks in view, weighted by their share of the picture."""
     upgrades: int = 0
     reference_late: bool = False
     no_place: bool = False
@@ -94,9 +94,9 @@ class StreamStats:
     frames_in_time: int = 0
     """Played frames whose data the client had at their display."""
     frames_late: int = 0
-    """And those whose data came later."""
+    """Played frames whose data arrived after their display."""
     stalls: int = 0
-    """Runs of late ones."""
+    """Runs of late frames."""
     references_late: int = 0
     references: int = 0
     bytes_tiles: int = 0

@@ -28,8 +28,8 @@ REORDER_PACKETS = 64
 """A packet is lost when one sent so many later is acknowledged: it was damaged, and the client dropped it."""
 
 PACKET_US, LEAST_PACKET_BYTES = 40_000, 1_448
-"""A packet fills at most so much of the link's time, and is not smaller than a TCP segment. Nothing overtakes a packet
-that is on its way: on a link of 200 kbit/s one of the largest size takes a third of a second.
+"""Longest time that a packet may occupy the link, and size of the smallest packet (a TCP segment). Nothing can overtake
+a packet on its way, and on a link of 200 kbit/s a packet of the largest size takes a third of a second.
 """
 
 MIN_WINDOW_PACKETS = 2
@@ -42,7 +42,7 @@ OWN_QUEUES = 3.0
 """Connections of this kind hold at most so many times the queue that the credit window allows; probing adds to it."""
 
 SLOW_BPS = 300e3
-"""On a slower link packets that were sent while it was thought faster make a long queue, so that none is taken for
+"""On a slower link, packets sent before its rate was known make a long queue by themselves, so a queue is not taken for
 another flow's.
 """
 
@@ -122,7 +122,7 @@ class FlowControl:
 
     @property
     def packet_bytes(self) -> int:
-        """Size of the largest packet to send now."""
+        """Largest size of the next packet."""
         return min(max(int(self.rate_bps * PACKET_US / 8e6), LEAST_PACKET_BYTES), limits.PACKET_BYTES)
 
     @property
@@ -142,7 +142,7 @@ class FlowControl:
         return max(self._min_window_bytes, int(self.rate_bps * time_us / 8e6))
 
     def has_credit(self, *, reference: bool = False) -> bool:
-        """Whether another packet may be sent now, for a ``reference`` from its reserve, too."""
+        """Whether another packet may be sent now; a packet of a ``reference`` may use the reserve."""
         reserve_bytes = RESERVE_PACKETS * self.packet_bytes if reference else 0
         return self.in_flight_bytes + self.packet_bytes <= self.window_bytes + reserve_bytes
 

@@ -20,7 +20,7 @@ FRAGMENT_HEADER_BYTES = 96
 """Room left in a packet for the header of a :class:`Fragment`; its fields at their widest take 91 bytes."""
 
 CHUNK_BYTES = limits.PACKET_BYTES - FRAGMENT_HEADER_BYTES
-"""Bytes of a message in a packet of the largest size."""
+"""Largest number of bytes of a message in one packet."""
 
 SLACK_ENTRIES = 64
 """Entries that have left and may stay in the heaps of a queue, besides as many as there are messages in it."""
@@ -65,7 +65,7 @@ class Entry:
         return self.rank[0] == REFERENCES
 
     def chunk(self, most_bytes: int) -> bytes | memoryview:
-        """The bytes of the next fragment, at most so many."""
+        """The next fragment, of at most ``most_bytes``."""
         start = self.sent - len(self.head)
         if start >= 0:
             return self.body[start : start + most_bytes]

@@ -1,4 +1,4 @@
-"""What a session is short of, by its last frames: said on the operator's page, in the metrics, and in the log."""
+"""Which resource limits a session, judged by its last frames; for the operator's page, the metrics and the log."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from itertools import islice
 from cags_server.records import FrameRecord, StreamStats
 
 RECENT_FRAMES = 60
-"""Frames that tell what a session is short of."""
+"""Number of last frames that are judged."""
 
 MANY_SKIPPED, MANY_LATE, FULL_BUDGET = 0.25, 0.25, 0.8
-"""Share of frames that were skipped, of frames whose reference was late or left out, and of the byte budget that is
-spent, from which on the processor, the renderer or the link is short.
+"""Limits beyond which processor, renderer and link are short: share of skipped frames, share of frames whose reference
+was late or left out, and share of the byte budget that is spent.
 """
 
 NOTHING, PROCESSOR, RENDERER, LINK = "nothing", "processor", "renderer", "link"
 RESOURCES = (PROCESSOR, RENDERER, LINK)
 
 LOOK_EVERY_S = 2.0
-"""Time between two looks for the log."""
+"""Interval between checks for the log."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Shortage:
     of: str
     """One of :data:`RESOURCES`, or :data:`NOTHING`."""
     share: float = 0.0
-    """Of frames or bytes, as the sentence says; in [0, 1]."""
+    """Share of frames or bytes, as in the sentence; in [0, 1]."""
 
     def __str__(self) -> str:
         """A sentence."""
@@ -45,8 +45,8 @@ class Shortage:
 
 
 def shortage(stats: StreamStats) -> Shortage:
-    """What keeps a session from more, by its last frames. The processor is named before the renderer, that before the
-    link: a server that is late leaves a link idle, too.
+    """The resource that limits a session. The processor takes precedence over the renderer, and the renderer over the
+    link, because a late server also leaves the link idle.
     """
     recent = list(islice(reversed(stats.records), RECENT_FRAMES))
     if not recent:
@@ -77,9 +77,9 @@ def _spent(recent: list[FrameRecord]) -> Shortage | None:
 
 
 class ShortageLog:
-    """Writes a line when a session becomes short of processor or renderer, and when it no longer is.
+    """Logs when a session becomes short of processor or renderer, and when the shortage ends.
 
-    A slow link is the viewer's affair, and is not logged.
+    Slow links are not logged: an operator cannot change them.
     """
 
     def __init__(self, log: logging.Logger, name: str, clock: Callable[[], float]) -> None:
@@ -89,7 +89,7 @@ class ShortageLog:
         self._short_of = NOTHING
 
     def look(self, stats: StreamStats) -> None:
-        """Look at a session's figures; nothing is done before :data:`LOOK_EVERY_S` have passed since the last look."""
+        """Check a session, at most once every :data:`LOOK_EVERY_S`."""
         if self._clock() < self._next_s:
             return
         self._next_s = self._clock() + LOOK_EVERY_S

@@ -32,18 +32,18 @@ class SessionStatus:
     sent_mb: float
     rtt_ms: float
     level: float
-    """Levels of detail that it holds of what it sees, of late."""
+    """Mean level of detail that it holds of what is in view, over the last frames."""
     levels: int
-    """Of the scene."""
+    """Number of levels of the scene."""
     frames: int
     """Planned for it."""
     skipped: int
     in_time: int
     """Played frames whose data it had at their display."""
     late: int
-    """And those whose data came later."""
+    """Played frames whose data arrived after their display."""
     stalls: int
-    """Runs of late ones."""
+    """Runs of late frames."""
     references_late: int
     mirror_mb: float
     """Memory of the server's copy of what the client shows."""
@@ -52,13 +52,13 @@ class SessionStatus:
     short_of: str
     """``processor``, ``renderer``, ``link`` or ``nothing``."""
     shortage: str
-    """The same as a sentence, with how short."""
+    """The same as a sentence with its share."""
     ended: str = ""
     """Why; empty while it goes on."""
 
 
 def why_ended(ending: Closed | None) -> str:
-    """The end of a session in words; None: its task was cut short."""
+    """Why a session ended, in words; None if its task was cancelled."""
     if ending is None:
         return "lost"
     return f"{ending.code}: {ending.reason}" if ending.reason else ending.code

@@ -1,4 +1,4 @@
-"""Which frames' data a viewer had at their display, as the acknowledgements of frames' ends tell."""
+"""Counts the frames whose data arrived before their display, from the acknowledgements of frame ends."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from cags_server.records import StreamStats
 
 
 class FrameArrivals:
-    """Counts into ``stats``: frames in time, frames late, and stalls, runs of late ones.
+    """Counts frames in time, late frames and stalls (runs of late frames) in ``stats``.
 
-    An acknowledgement takes the way up, and so do the poses that the client's clock is known by: the two delays cancel.
+    The delay of an acknowledgement needs no correction, because poses have the same delay, and the client's clock is
+    estimated from them.
     """
 
     def __init__(self, stats: StreamStats) -> None:
@@ -21,11 +22,11 @@ class FrameArrivals:
         self._displays[frame] = display_us
 
     def forget(self) -> None:
-        """The viewer wants something else: what is on its way is displayed at other times, or not at all."""
+        """After a control: frames on their way are displayed at other times, or not at all."""
         self._displays.clear()
 
     def arrived(self, frame: int, client_us: int) -> None:
-        """The end of ``frame`` was there at ``client_us`` of the client's clock."""
+        """The end of ``frame`` arrived at ``client_us`` of the client's clock."""
         display_us = self._displays.pop(frame, None)
         if display_us is None:
             return
