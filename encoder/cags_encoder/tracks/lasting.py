@@ -132,17 +132,21 @@ def _frames(
 def _slack(now: F32, frames: Sequence[tuple[F32, NDArray[np.bool_]]], effect: Effect, weight: F64) -> F64:
     """Factor [m] of each tolerance for what changes fast, or is noise; ``weight`` [m] are in tolerances.
 
-    Second differences of noise are larger than its first ones, those of a trend smaller. A single jump is no noise.
+    Second differences of noise are larger than first differences; those of a trend are smaller. Noise of a quantised
+    source returns to one of the two values before in most frames; values that are computed anew in each frame do not.
+    A single jump is not noise.
     """
-    before, change = now, np.zeros_like(now)
-    gone, bent, largest = (np.zeros(len(now)) for _ in range(3))
+    before, earlier, change = now, np.full_like(now, np.nan), np.zeros_like(now)
+    gone, bent, largest, again, frames_there = (np.zeros(len(now)) for _ in range(5))
     for values, there in frames:
         step = values - before
         size = np.where(there, weight * effect(np.abs(step)), 0.0)
         gone, largest = gone + size, np.maximum(largest, size)
         bent += np.where(there, weight * effect(np.abs(step - change)), 0.0)
-        before, change = values, step
-    noise = (bent > gone) & (gone > NOISE_STEPS * largest)
+        repeated = np.mean((values == before) | (values == earlier), axis=tuple(range(1, now.ndim)))
+        again, frames_there = again + np.where(there, repeated, 0.0), frames_there + there
+        before, earlier, change = values, before, step
+    noise = (bent > gone) & (gone > NOISE_STEPS * largest) & (again > frames_there / 2)
     slack: F64 = np.where(noise, FASTER, np.clip(np.cbrt(gone / 2), 1.0, FASTER))
     return slack
 

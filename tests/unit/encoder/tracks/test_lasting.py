@@ -66,6 +66,9 @@ def test_noise_beyond_the_tolerance_is_told_once_and_a_trend_is_followed() -> No
     told = lasting(splats(grey(noise[0])), np.arange(N), frames([splats(grey(row)) for row in noise[1:]]), MOST)
     assert np.allclose(told.wrong["sh0"], FASTER * MOST)
     assert np.allclose(told.splats.sh0, grey(noise.mean(axis=0)), atol=1e-6)
+    alive = 1.5 * MOST * np.random.default_rng(3).uniform(-1, 1, (16, N))
+    told = lasting(splats(grey(alive[0])), np.arange(N), frames([splats(grey(row)) for row in alive[1:]]), MOST)
+    assert np.all(told.wrong["sh0"] < 3 * MOST), "no value comes twice: a source that shakes is followed"
     trend = 0.6 * MOST * np.arange(16)[:, None] * np.ones(N)
     told = lasting(splats(grey(trend[0])), np.arange(N), frames([splats(grey(row)) for row in trend[1:]]), MOST)
     assert np.all(told.wrong["sh0"] < 2 * MOST)
