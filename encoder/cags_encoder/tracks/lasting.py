@@ -10,6 +10,7 @@ is smallest where tolerances grow with the cube root of the speed.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
@@ -137,13 +138,14 @@ def _slack(now: F32, frames: Sequence[tuple[F32, NDArray[np.bool_]]], effect: Ef
     A single jump is not noise.
     """
     before, earlier, change = now, np.full_like(now, np.nan), np.zeros_like(now)
+    wide = max(math.prod(now.shape[1:]), 1)
     gone, bent, largest, again, frames_there = (np.zeros(len(now)) for _ in range(5))
     for values, there in frames:
         step = values - before
         size = np.where(there, weight * effect(np.abs(step)), 0.0)
         gone, largest = gone + size, np.maximum(largest, size)
         bent += np.where(there, weight * effect(np.abs(step - change)), 0.0)
-        repeated = np.mean((values == before) | (values == earlier), axis=tuple(range(1, now.ndim)))
+        repeated = np.sum((values == before) | (values == earlier), axis=tuple(range(1, now.ndim))) / wide
         again, frames_there = again + np.where(there, repeated, 0.0), frames_there + there
         before, earlier, change = values, before, step
     noise = (bent > gone) & (gone > NOISE_STEPS * largest) & (again > frames_there / 2)

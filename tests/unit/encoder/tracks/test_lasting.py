@@ -115,3 +115,9 @@ def test_few_splats_change_or_none_do() -> None:
     told = lasting(splats(grey(0.5)), np.arange(N), later, MOST)
     assert np.array_equal(told.splats.sh0, np.float32(grey(0.5)))
     assert len(lasting(nothing, np.zeros(0, np.int32), frames([splats(grey(0.1))]), MOST).splats) == 0
+
+
+def test_a_scene_without_harmonics_has_none_to_tell() -> None:
+    bare = [splats(grey(0.1 * at), sh_rest=np.zeros((N, 0, 3))) for at in range(4)]
+    told = lasting(bare[0], np.arange(N), frames(bare[1:]), MOST)
+    assert told.splats.sh_rest.shape == (N, 0, 3)
