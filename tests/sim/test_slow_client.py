@@ -47,8 +47,7 @@ def settled(frames):
 
 
 def test_a_slow_client_gets_references_of_what_it_draws(scenario, renders, monkeypatch):
-    # Over 0.8 Mbps a few bytes of a chunk decide whether one frame of these comes late; that is not the matter here.
-    slow = replace(scenario, draw_us=52_000, trace="generated:steady-0.9")
+    slow = replace(scenario, draw_us=52_000)
     shown = simulate(slow).frames
     late = [f for f in shown if f["frame"] >= SETTLED]
     fewer = settled(renders)

@@ -27,7 +27,7 @@ from cags_protocol.wire.messages import SeqRange
 REORDER_PACKETS = 64
 """A packet is lost when one sent so many later is acknowledged: it was damaged, and the client dropped it."""
 
-PACKET_US, LEAST_PACKET_BYTES = 40_000, 1_448
+PACKET_US, LEAST_PACKET_BYTES = 60_000, 1_448
 """Longest time that a packet may occupy the link, and size of the smallest packet (a TCP segment). Nothing can overtake
 a packet on its way, and on a link of 200 kbit/s a packet of the largest size takes a third of a second.
 """
