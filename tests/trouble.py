@@ -1,10 +1,10 @@
-"""Hours of ordinary trouble in real time: ``python tests/trouble.py --minutes 60``.
+"""Random faults in real time for an hour: ``python tests/trouble.py --minutes 60``.
 
-Eight viewers watch one real server through one real shaper whose rate changes all the time. Each of them pauses, jumps,
-stalls, is cut off, leaves, comes back or sends a damaged message every few seconds, by chance. Afterwards nothing may
-be left of it: every message that the server queued was delivered or dropped, memory is back within a tenth of what it
-was, descriptors, threads and the event loop's tasks are as many as before, the log has a line for what happened and no
-more, and all of them can watch again. Prints a JSON line; exit status 1 where that is not so.
+Eight viewers watch one real server through a real shaper whose rate varies. Every few seconds, each viewer pauses,
+jumps, stalls, loses its connection, leaves and returns, or sends a damaged message. At the end, every message that the
+server queued must be delivered or dropped, memory must be within a tenth of its start, the numbers of descriptors,
+threads and tasks must be as before, the log must be short, and all viewers must be able to watch. Prints one JSON
+line; the exit status is 1 if a condition fails.
 """
 
 from __future__ import annotations
@@ -39,35 +39,35 @@ PER_S = 0.2
 """Faults a second and viewer."""
 
 FAULTS = {"pause": 4, "seek": 4, "stall": 2, "cut": 2, "leave": 1, "damage": 1}
-"""What happens, and how often of these."""
+"""Kinds of faults and their relative frequencies."""
 
 STALLS_S = (0.2, 20.0)
-"""Shortest and longest time for which a viewer takes nothing; the server gives one up after ten seconds (``--slow-s``),
-or fifteen of silence.
+"""Shortest and longest time for which a viewer reads nothing. The server ends a session after ten seconds of this
+(``--slow-s``), or after fifteen seconds of silence.
 """
 
 SETTLES_S = 20.0
-"""Until what the last ones have left is gone: a silent one is given up, and freed memory is given back."""
+"""Time until silent sessions have ended and freed memory is returned."""
 
 WARMS_UP_S = 60.0
-"""Of the same trouble, before anything is counted: what is held for good (decoded tiles, threads) is held by then."""
+"""Warm-up with the same faults, after which caches (decoded tiles, threads) are full."""
 
 MOST_GROWTH = 1.1
 POOL = (os.cpu_count() or 1) + 4
-"""Threads that an event loop has for what blocks; it starts one more only where several are wanted at once."""
+"""Largest number of threads in an event loop's executor, which grows with concurrent blocking calls."""
 
 LINES_A_FAULT = 3.0
-"""Log lines: a fault may end a session (a line), which begins again (another); and the word about what was wrong."""
+"""Largest number of log lines per fault: the end of a session, its new start, and the error."""
 
 
 @dataclass
 class Troubled(Viewer):
-    """A viewer with a life of its own."""
+    """A viewer that causes random faults."""
 
     rng: random.Random = field(default_factory=random.Random)
     suffered: Counter[str] = field(default_factory=Counter)
     calm: bool = False
-    """Whether nothing happens to it any more."""
+    """Whether faults have stopped."""
 
     async def _poses(self, session: ClientSession, transport: Any, pose: Any) -> None:
         trouble = asyncio.create_task(self._trouble(session, transport))
@@ -121,17 +121,17 @@ class Troubled(Viewer):
 
 @dataclass(frozen=True)
 class Footing:
-    """What a process holds."""
+    """Resources that a process holds."""
 
     rss_mb: float
     descriptors: int
     threads: int
     tasks: int = 0
-    """Of its event loop, where it tells."""
+    """Tasks of its event loop, if it reports them."""
 
 
 def footing(pid: int, tasks: int = 0) -> Footing:
-    """Of a process that runs."""
+    """The resources of a running process."""
     here = Path(f"/proc/{pid}")
     pages = int((here / "statm").read_text().split()[1])
     return Footing(
@@ -143,7 +143,7 @@ def footing(pid: int, tasks: int = 0) -> Footing:
 
 
 def metric(server: Keep, name: str) -> int:
-    """One number of the metrics page."""
+    """One value of the metrics page."""
     with urllib.request.urlopen(f"http://127.0.0.1:{server.port}/metrics", timeout=60) as answer:
         lines = answer.read().decode().splitlines()
     (value,) = [line.split()[1] for line in lines if line.startswith(f"{name} ")]
@@ -152,7 +152,7 @@ def metric(server: Keep, name: str) -> int:
 
 @contextmanager
 def shaper(port: int) -> Iterator[tuple[int, str]]:
-    """A link before the server at ``port``: its process, and where to watch."""
+    """A shaper in front of the server at ``port``: its process id, and the address for viewers."""
     command = [sys.executable, "-m", "cags_shaper", "--listen", "127.0.0.1:0", "--to", f"127.0.0.1:{port}", "--json"]
     with subprocess.Popen([*command, *LINK], stdout=subprocess.PIPE, text=True) as process:
         try:
@@ -165,26 +165,26 @@ def shaper(port: int) -> Iterator[tuple[int, str]]:
 
 @dataclass
 class Hour:
-    """What came of it."""
+    """Result of a run."""
 
     minutes: float
     suffered: Counter[str]
     frames: int
-    """Ends of frames that came, of all viewers."""
+    """Frame ends received by all viewers."""
     sessions: int
     queued: int
-    """Messages that the server had for them."""
+    """Messages queued by the server."""
     unsettled: int
-    """Of these, neither delivered nor dropped in the end."""
+    """Queued messages that were neither delivered nor dropped."""
     server: tuple[Footing, Footing]
-    """Before and after, without viewers."""
+    """Resources before and after, without viewers."""
     shaper: tuple[Footing, Footing]
     peak_mb: float
     lines: int
     tracebacks: int
 
     def faults(self) -> list[str]:
-        """What is not as it should be."""
+        """Descriptions of the conditions that failed."""
         out = [f"{self.unsettled} messages are unsettled"] if self.unsettled else []
         for who, (before, after) in (("server", self.server), ("shaper", self.shaper)):
             if after.rss_mb > MOST_GROWTH * before.rss_mb:
@@ -202,12 +202,12 @@ class Hour:
         return out
 
     def line(self) -> dict[str, Any]:
-        """As JSON has it."""
+        """The result as a JSON object."""
         return {**vars(self), **{who: [vars(each) for each in getattr(self, who)] for who in ("server", "shaper")}}
 
 
 def unsettled(traces: Path) -> tuple[int, int]:
-    """Messages that were queued, and those of them that were neither delivered nor dropped, by the event traces."""
+    """Number of queued messages in the event traces, and of those that were neither delivered nor dropped."""
     events: Counter[str] = Counter()
     for trace in traces.glob("*.jsonl"):
         with trace.open() as lines:
@@ -217,7 +217,7 @@ def unsettled(traces: Path) -> tuple[int, int]:
 
 
 async def play(server: Keep, shaping: int, url: str, seconds: float, seed: int) -> tuple[list[Troubled], Any, float]:
-    """The viewers, what both processes held before and after, and the most that the server held."""
+    """The viewers, the resources of both processes before and after, and the server's peak memory in MB."""
     first, then = (
         [Troubled(url, rng=random.Random(f"{seed} {begun} {n}")) for n in range(VIEWERS)] for begun in (0, 1)
     )
@@ -249,7 +249,7 @@ async def _watch(viewers: list[Troubled], seconds: float, server: Keep) -> float
 
 
 async def _footings(server: Keep, shaping: int) -> tuple[Footing, Footing]:
-    """Of server and shaper, once all have left."""
+    """Resources of server and shaper once all viewers have left."""
     await asyncio.sleep(SETTLES_S)
     assert await asyncio.to_thread(metric, server, "cags_sessions") == 0, "somebody is still there"
     tasks = await asyncio.to_thread(metric, server, "cags_tasks")
@@ -258,7 +258,7 @@ async def _footings(server: Keep, shaping: int) -> tuple[Footing, Footing]:
 
 
 def hour(folder: Path, minutes: float, seed: int) -> Hour:
-    """Play ``minutes`` of it with files in ``folder``."""
+    """Run for ``minutes``, with files in ``folder``."""
     bundle, traces = encode_small(folder), folder / "traces"
     with keep(bundle, folder, "--event-traces", str(traces)) as server, shaper(server.port) as (shaping, url):
         viewers, footings, peak_mb = asyncio.run(play(server, shaping, url, 60 * minutes, seed))
@@ -283,10 +283,10 @@ def hour(folder: Path, minutes: float, seed: int) -> Hour:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Play it and print what came of it."""
+    """Run it and print the result."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--minutes", type=float, default=60.0, help="how long (default: 60)")
-    parser.add_argument("--seed", type=int, default=1, help="another seed, other trouble (default: 1)")
+    parser.add_argument("--minutes", type=float, default=60.0, help="duration in minutes (default: 60)")
+    parser.add_argument("--seed", type=int, default=1, help="random seed of the faults (default: 1)")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory(prefix="cags-trouble-") as folder:
         outcome = hour(Path(folder), options.minutes, options.seed)

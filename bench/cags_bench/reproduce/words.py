@@ -1,6 +1,6 @@
-"""Tables of a Markdown page that are made from a reproduction's figures, so that nobody copies a number by hand.
+"""Tables of a Markdown page, generated from a reproduction's figures.
 
-A table stands between ``<!-- made: NAME -->`` and ``<!-- end -->``; :data:`TABLES` has the names.
+A table stands between ``<!-- made: NAME -->`` and ``<!-- end -->``; :data:`TABLES` lists the names.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _MARKED = re.compile(r"(<!-- made: ([a-z]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def renew(page: Path, figures: Path) -> None:
-    """Make the marked tables of ``page`` again from the JSON lines in ``figures``. Raises :class:`ConfigError`."""
+    """Generate the marked tables of ``page`` from the JSON lines in ``figures``. Raises :class:`ConfigError`."""
     try:
         text = page.read_text(encoding="utf-8")
     except OSError as error:
@@ -30,7 +30,7 @@ def renew(page: Path, figures: Path) -> None:
 
 
 def renewed(text: str, figures: Path) -> str:
-    """``text`` with its marked tables made from ``figures``. Raises :class:`ConfigError` for names that none has."""
+    """``text`` with its marked tables generated from ``figures``. Raises :class:`ConfigError` for unknown names."""
 
     def made(match: re.Match[str]) -> str:
         if match[2] not in TABLES:
@@ -41,7 +41,7 @@ def renewed(text: str, figures: Path) -> str:
 
 
 def claims(figures: Path) -> str:
-    """What the reproduction claims and found, green or red."""
+    """Claims and results of the reproduction, green or red."""
     lines = _lines(figures / CLAIMS)
     rows = [("green" if one["ok"] else "red", one["name"], one["target"], html.short(one["value"])) for one in lines]
     return _where(lines) + _table(("", "claim", "target", "found"), rows)
@@ -63,7 +63,7 @@ def means(figures: Path) -> str:
 
 
 def leads(figures: Path) -> str:
-    """How far ours is ahead of the baselines of the page, by scene and link, with 95 % intervals."""
+    """Our lead over the baselines, by scene and link, with 95 % intervals."""
     titles = {METHODS[name].title: name for name in BESIDE}
     lines = [line for line in _lines(figures / "rivals.jsonl") if line["method"] == METHODS["cags"].title]
     found: dict[tuple[str, str], dict[str, str]] = {}
@@ -77,7 +77,7 @@ def leads(figures: Path) -> str:
 
 
 def _figure(value: float | None) -> str:
-    """A bound in tenths; one that is not finite, as those of very short plays, is none in JSON."""
+    """A bound with one decimal. Bounds that are not finite, as for very short plays, are null in JSON."""
     return "unknown" if value is None else f"{value:.1f}"
 
 
@@ -102,7 +102,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 
 def full(figures: Path) -> str:
-    """Sessions of the full size that were played so far; they lie in a folder of their own."""
+    """The full-size sessions played so far, from the folder ``full``."""
     lines = _lines(figures / "full" / "sessions.jsonl")
     head = ("scene", "link", "method", "frames", "PSNR, dB (95 %)", "5th percentile", "SSIM", "processor s")
     rows = [
@@ -119,7 +119,7 @@ def full(figures: Path) -> str:
 
 
 BESIDE = ("cags-paper", "lts-f", "v3-a", "v3-a-predicted", "reference-only")
-"""Baselines of :func:`leads`; the page of figures has all."""
+"""Baselines shown by :func:`leads`; the page of figures shows all."""
 
 TABLES: dict[str, Callable[[Path], str]] = {"claims": claims, "means": means, "leads": leads, "full": full}
-"""What can stand on a page."""
+"""Generators of the tables, by name."""

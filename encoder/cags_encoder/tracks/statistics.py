@@ -25,9 +25,7 @@ class TrackCounter:
     def __init__(self) -> None:
         self._frames = self._tracks = self._seen = self._linked = self._judged = 0
         self._ages: NDArray[np.int64] = np.zeros(0, np.int64)  # age of the last frame's splats: number of frames seen
-        self._ended: NDArray[np.int64] = np.zeros(
-            0, np.int64
-        )  # histogram of ended tracks by the logarithm of their age
+        self._ended: NDArray[np.int64] = np.zeros(0, np.int64)  # number of ended tracks by the logarithm of their age
         self._changed = {field.name: 0 for field in fields(ChangedShares)}
 
     def add(self, before: Splats | None, after: Splats, rows: NDArray[np.intp]) -> None:

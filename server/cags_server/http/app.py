@@ -59,7 +59,7 @@ MOST_BY_MEASURE = 256
 """Descriptors are kept for so many clients where their number is measured."""
 
 GONE_BEFORE = 499
-"""Status of an answer that nobody is there for any more, as nginx has it."""
+"""Status of a request whose client has closed the connection, as in nginx."""
 
 DEFAULT_FPS = 30.0
 """Of a server that has no scene yet."""

@@ -25,7 +25,7 @@ class FreedMemory:
     """Gives memory back once sessions have ended, seldom enough to cost nothing."""
 
     def __init__(self, watched: Callable[[], object]) -> None:
-        """``watched()``: whether anybody would wait for a long collection."""
+        """``watched()`` says whether a long collection would delay anybody."""
         self._watched = watched
         self._timer: asyncio.TimerHandle | None = None
         self._last_s = float("-inf")
@@ -45,7 +45,7 @@ class FreedMemory:
 
     def _give_back(self, loop: asyncio.AbstractEventLoop) -> None:
         self._timer, self._last_s = None, loop.time()
-        # Transports of asyncio are cycles of their own; those of sessions that lasted are in the oldest generation.
+        # asyncio's transports are reference cycles; those of long sessions are in the oldest generation.
         gc.collect(1 if self._watched() else 2)
         loop.run_in_executor(None, self._trim)
 

@@ -11,7 +11,7 @@ Where the renderer has too much to do (:mod:`.render_slots`), references are cod
 half the time and more bytes, without trials of the other kind, and without a look at what a difference leaves. That is
 half of the time that coding takes.
 
-Of a difference only what lasts while the viewer turns is sent (:mod:`.lasting`).
+Only the part of a difference that remains valid while the viewer turns is sent (:mod:`.lasting`).
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class Coded:
     before: float = 0.0
     """Mean squared error of the client's render from the reference camera, [0, 1] RGB."""
     after: float | None = 0.0
-    """What coding leaves of what was to be sent; None: nobody looked."""
+    """Mean squared error of coding, RGB in [0, 1]; None if it was not measured."""
 
 
 class _Video:
@@ -153,7 +153,7 @@ class ReferenceCoder:
         self.lateness = Lateness()
         """Whether references come in time."""
         self._lasting = Lasting()
-        self._share: F32 | None = None  # of the difference at hand, to be sent
+        self._share: F32 | None = None  # of the current difference that is sent
         self._picture_left = 0.0  # error of the newest picture that was coded
         self._target_bytes = 0.0  # of a picture that needs others; 0: not known
 
@@ -215,7 +215,7 @@ class ReferenceCoder:
         light: bool = False,
         camera: Camera | None = None,
     ) -> Coded:
-        """As :meth:`code`. Where views have depth and their ``camera`` is known, only what lasts is sent."""
+        """As :meth:`code`. If views have depth and ``camera`` is given, only the valid part of a difference is sent."""
         if not self.kinds:
             return Coded(NOTHING)
         if light is not self._light:

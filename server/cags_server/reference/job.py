@@ -139,7 +139,7 @@ class FrameJob:
         return scene.compared(held, self.camera, options, knee=self.coder.knee, looks=self.coder.looks)
 
     def _staged(self, drawn: RenderedView, options: RenderOptions) -> StagedViews:
-        """The true view beside the client's from the same camera, if that holds anything and somebody asks."""
+        """The true view, and the view of the mirror from the same camera if there is one that holds splats."""
         scene: RasterScene | None = None
         if self.mirror is not None:
             scene = self.mirror.scene_at(self.plan.frame, self.plan.basis)

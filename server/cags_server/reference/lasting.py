@@ -1,14 +1,14 @@
-"""How much of a difference lasts while the viewer turns.
+"""The part of a difference that remains valid while the viewer turns.
 
-A client's pose is not the one that its reference was drawn from, and some of a difference holds for that pose alone.
-Splats are blended in the order of their depth along the camera's axis, which turns with the camera. Quantised splats
-pass each other elsewhere than those of the scene do: a blob is lacking from here and is gone a degree further. To add
-it there makes a good picture worse.
+The client's pose differs from the pose of its reference, and part of a difference is valid for the reference's pose
+only. Splats are blended in the order of their depth along the camera's axis, which turns with the camera. Quantised
+splats change places at other angles than the original ones, so a blob that is missing at one pose may be present one
+degree further. Adding it there makes a good picture worse.
 
-The viewer turns about as far between two references as a prediction is off, so the reference before tells: what was
-not lacking then will not be lacking at the client's pose. A block's share is the factor by which the difference
-predicts the earlier one best (least squares), after this was moved to the same camera by the depth of the client's
-splats. Where much is lacking, splats have just come or moved, and all of it counts.
+Between two references the viewer turns about as far as a prediction is wrong. The previous difference therefore shows
+what will remain valid. It is warped to the new camera by the depth of the client's splats; the share of each block is
+the factor by which the new difference predicts the warped one best (least squares). Where the difference is large,
+splats have just arrived or moved, and all of it is sent.
 """
 
 from __future__ import annotations
@@ -21,40 +21,40 @@ from cags_common.geometry import F32, Camera
 from cags_server.reference.detail import BLOCK_PX, by_block
 
 STEP_PX = 2
-"""Every second row and column is compared."""
+"""Distance of the rows and columns that are compared, in pixels."""
 
 DOUBT = 3e-7
 """Mean squared difference, [0, 1] RGB, at which a block's share is half that of the whole picture."""
 
 SMALL = 10**-4.4
-"""Mean squared difference, [0, 1] RGB (44 dB), over the pixels of the client's splats up to which shares count; at
-twice as much they no longer do: blending order is a small error.
+"""Mean squared difference over the pixels of the client's splats, RGB in [0, 1] (44 dB), up to which shares apply. They
+fade out up to twice this value, because errors of the blending order are small.
 """
 
 NEWS = 10.0
-"""Splats have come or moved where one difference is larger than the other by more than this factor, and the earlier one
-says nothing about this one. A large splat that is blended in another order brings less.
+"""Largest ratio of two consecutive mean squared differences that are comparable. Beyond it, splats have arrived or
+moved; the blending order of a large splat changes the difference by less.
 """
 
 WHOLE = 0.5
-"""A block is sent whole where at least this share of it is found again. Even of what lasts not all is found: moving
-blurs it by a sixth, and splats that move by themselves are looked for in the wrong place.
+"""Share of a block found again from which on the whole block is sent. Valid differences are not found completely:
+warping blurs them by a sixth, and moving splats are warped to wrong places.
 """
 
 FARTHEST, NEAREST = 1e4, 1e-3
-"""Depths, world units, that holes and points beside the camera are given."""
+"""Depths assigned to holes and to points next to the camera, world units."""
 
 
 class Lasting:
-    """Compares each difference of a client with the one before."""
+    """Compares consecutive differences of one client."""
 
     def __init__(self) -> None:
-        self._before: tuple[F32, Camera, float] | None = None  # with its mean square
+        self._before: tuple[F32, Camera, float] | None = None  # difference, its camera and its mean square
 
     def share(self, lack: F32, camera: Camera, depth: F32) -> F32 | None:
-        """The share of ``lack`` [h, w, 3], drawn from ``camera``, to be sent [h, w]; None: all of it.
+        """The share [h, w] of ``lack`` [h, w, 3], rendered from ``camera``, to send; None for all of it.
 
-        ``depth`` [h, w] is that of the client's splats from there, camera-space z; +inf where there are none.
+        ``depth`` [h, w] is the camera-space z of the client's splats, +inf where there are none.
         """
         power = cv2.norm(lack, cv2.NORM_L2SQR) / max(3 * int(np.count_nonzero(np.isfinite(depth))), 1)
         before, self._before = self._before, (lack, camera, power)
@@ -76,7 +76,9 @@ class Lasting:
 
 
 def _moved(lack: F32, drawn_from: Camera, camera: Camera, depth: F32) -> tuple[F32, F32]:
-    """``lack`` seen from ``camera`` at every :data:`STEP_PX`-th pixel, whose ``depth`` is given; 1 where it shows."""
+    """``lack`` warped to every :data:`STEP_PX`-th pixel of ``camera``, by the ``depth`` of these pixels; and a mask, 1
+    where the warped pixel lies inside the picture.
+    """
     m = Placement(camera, drawn_from).matrix.astype(np.float32)
     rows, columns = (np.arange(count, dtype=np.float32) * STEP_PX + 0.5 for count in depth.shape)
     far = np.nan_to_num(depth, nan=FARTHEST, posinf=FARTHEST).clip(NEAREST, FARTHEST)

@@ -280,7 +280,7 @@ class Connection:
             self._queue(streamer.startup(now_us), now_us)
 
     def _recall(self, streamer: Streamer, now_us: int) -> None:
-        """Take back what waited past the frame that it was made for, before the next tiles are chosen."""
+        """Take back messages whose frame has been displayed, before the next tiles are chosen."""
         self.session.cancel(lambda each: streamer.outdated(each, now_us), now_us=now_us, started=False)
         self._settle(now_us)
         self._queue(streamer.take_late_ends(now_us), now_us)

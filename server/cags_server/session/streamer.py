@@ -252,8 +252,8 @@ class Streamer:
             self._video.dropped(message)
 
     def _on_arrived(self, outgoing: ev.Outgoing, now_us: int) -> None:
-        """Tell the pace how late a reference was, and count the frames that were in time. The acknowledgement took the
-        way up, and so did the poses that the client's clock is known by: the two delays cancel.
+        """Tell the pace how late a reference was, and count frames in time. The delay of an acknowledgement needs no
+        correction, because poses have the same delay, and the client's clock is estimated from them.
         """
         if isinstance(outgoing.message, FrameEnd):
             self._arrivals.arrived(outgoing.message.frame, self._viewer.clock.to_client(now_us))
@@ -599,8 +599,8 @@ class Streamer:
     # ------------------------------------------------------------------------------------------------------ messages
 
     def outdated(self, outgoing: ev.Outgoing, now_us: int) -> bool:
-        """Whether a waiting message was made for a frame that has been displayed: of a tile, another may be worth more
-        now; of an end, see :meth:`take_late_ends`.
+        """Whether a waiting message is for a frame that has been displayed. Another tile may be worth more now; for
+        frame ends see :meth:`take_late_ends`.
         """
         message, deadline_us = outgoing.message, outgoing.deadline_us
         if isinstance(message, FrameEnd):
@@ -610,17 +610,17 @@ class Streamer:
         return now_us >= deadline_us - int(self._settings.tile_deadline_ms * 1000)
 
     def _ends_late(self, outgoing: ev.Outgoing, now_us: int) -> bool:
-        """Whether a message ends a frame that has been displayed without it."""
+        """Whether a message is the end of a frame that has already been displayed."""
         if not isinstance(outgoing.message, FrameEnd):
             return False
         display_us = self._ends_due_us.get(outgoing.message.frame)
         return display_us is not None and now_us >= self._viewer.clock.to_server(display_us)
 
     def take_late_ends(self, now_us: int) -> list[ev.Outgoing]:
-        """Ends to queue again, ahead of every tile, for frames that were displayed without theirs.
+        """Late frame ends, to queue again ahead of all tiles.
 
-        The newest stands for all of them; the others are needed only where they name splats. Behind their tiles the
-        ends of a slow link would be ever later, and the client would show nothing that came after them.
+        The newest one covers all of them; the others are needed only if they name removed splats. Behind tiles, frame
+        ends would fall back ever further on a slow link, and the client shows nothing beyond them.
         """
         late, self._late_ends = self._late_ends, []
         if not late:

@@ -1,4 +1,4 @@
-"""Every session by itself, as far as sessions were played: what a run of the full size has so far."""
+"""One row for each session that has been played; shows the progress of a full-size run."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from cags_bench.reproduce.section import Cell, Section
 
 
 def session_cases(context: Context) -> list[StreamCase]:
-    """Every link, method and scene, link by link."""
+    """All combinations of link, method and scene, ordered by link."""
     p = context.plan
     return [context.case(s, m, mbps) for mbps in p.links for s in p.scenes for m in p.methods]
 
 
 def sessions(context: Context) -> Section:
-    """One row a session."""
+    """One row per session."""
     cases, plan = session_cases(context), context.plan
     played = [case for case in cases if context.there(case)]
     rows = [_row(context, case) for case in played]

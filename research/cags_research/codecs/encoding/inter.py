@@ -1,8 +1,8 @@
-"""What prediction from frame to frame would save V3-A: its planes coded as a video, and as the pictures that it sends.
+"""The bytes that V3-A would save by inter-frame prediction of its planes.
 
-The ``video`` codec here codes every tile by itself (:mod:`cags_research.codecs.video`); V3 (Wang et al., SIGGRAPH Asia
-2024) codes planes as a video over a group of frames. :func:`saving` measures how much less that is on a clip, so that
-V3-A can be played over a link that is as much faster: what it could at most gain.
+The ``video`` codec codes every tile as separate pictures (:mod:`cags_research.codecs.video`); V3 (Wang et al., SIGGRAPH
+Asia 2024) codes planes as a video over a group of frames. :func:`saving` measures the ratio of both on a clip. Playing
+V3-A over a link that is faster by this ratio gives an upper bound of what prediction could gain.
 """
 
 from __future__ import annotations
@@ -23,16 +23,17 @@ from cags_research.codecs.planes import encode_plane_video
 from cags_research.codecs.scalar import U8
 
 FRAMES = 4
-"""Of the clip's beginning that are coded: the first is coded by itself both ways."""
+"""Number of frames at the beginning of the clip that are coded; the first is intra-coded in both ways."""
 
 LOSSLESS = 0
 
 
 def saving(source: FrameSource) -> float:
-    """How many times more bytes a later frame takes in pictures of its own than predicted; 1 where that saves nothing.
+    """Ratio of the bytes of frames after the first, intra-coded over predicted; at least 1.
 
-    Of the splats that change within the first :data:`FRAMES`, at the quality at which it saves most. Positions are a
-    high and a low byte, without loss. Scenes whose rows are no identities are taken in the Morton order of each frame.
+    It is measured on the splats that change within the first :data:`FRAMES` frames, at the quality with the largest
+    ratio. Positions are coded without loss as high and low bytes. If rows are not identities, each frame is sorted in
+    Morton order.
     """
     count = min(FRAMES, len(source))
     if count < 2:
@@ -51,7 +52,7 @@ def saving(source: FrameSource) -> float:
 
 
 def _changing(frames: Sequence[Splats], *, known: bool) -> list[Splats]:
-    """The rows that are not the same in all frames, in Morton order; as many in each."""
+    """The rows that change between the frames, in Morton order; the same number in each frame."""
     least = min(map(len, frames))
     if known:
         moved = np.zeros(least, bool)
@@ -65,14 +66,14 @@ def _changing(frames: Sequence[Splats], *, known: bool) -> list[Splats]:
 
 
 def _by_itself(codec: VideoCodec, tiles: Sequence[ByteSplats]) -> np.ndarray:
-    """Bytes of the later frames by quality, as tiles that are sent today."""
+    """Bytes [qualities] of the frames after the first, as separate tiles."""
     ids = np.arange(len(tiles[0].means), dtype=np.int32)
     sizes = [[len(p) for p in codec.encode_tile(ids, tile, id_range=True)] for tile in tiles[1:]]
     return np.array([sum(of_quality) for of_quality in zip(*sizes, strict=True)])
 
 
 def _predicted(codec: VideoCodec, tiles: Sequence[ByteSplats]) -> np.ndarray:
-    """The same, predicted from frame to frame."""
+    """Bytes [qualities] of the same frames with inter-frame prediction."""
     low, high = (pick(np.stack([pick(tile.means, axis=0) for tile in tiles]), axis=0) for pick in (np.min, np.max))
     grid = codec.grid(ByteSplats(np.stack([low, high]).astype(np.float32), ()))
     cells = [grid.quantise(tile.means) for tile in tiles]

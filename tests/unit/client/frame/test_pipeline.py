@@ -152,16 +152,22 @@ def test_what_comes_after_a_mark_waits_for_the_next_reference(reader: BundleRead
     assert stage.show(1, pose).lod_mean > 0
 
 
-def test_while_a_reference_is_late_what_is_shown_stays_and_not_for_ever(
-    reader: BundleReader, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(pipeline, "PATIENCE_FRAMES", 1)
+def waiting_for_a_reference(reader: BundleReader) -> tuple[Stage, Pose]:
+    """Frame 0 was shown at its base level; all levels of both frames have come, and no reference of frame 1."""
     stage, pose = Stage(reader), walk(reader)
     stage.send(0)
     stage.refer(0, pose)
     stage.show(0, pose)
     stage.send(0, reader.manifest.lods, first=1)
     stage.send(1, reader.manifest.lods)
+    return stage, pose
+
+
+def test_while_a_reference_is_late_what_is_shown_stays_and_not_for_ever(
+    reader: BundleReader, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipeline, "PATIENCE_FRAMES", 1)
+    stage, pose = waiting_for_a_reference(reader)
     stage.mark()
     assert stage.show(1, pose).lod_mean == 0, "as the reference before assumes"
     assert stage.show(2, pose).lod_mean > 0
@@ -169,12 +175,7 @@ def test_while_a_reference_is_late_what_is_shown_stays_and_not_for_ever(
 
 def test_a_reference_that_came_after_its_frame_is_shown_with_what_it_assumes(reader: BundleReader) -> None:
     """On a slow link or beside a slow server each reference may come a frame late."""
-    stage, pose = Stage(reader), walk(reader)
-    stage.send(0)
-    stage.refer(0, pose)
-    stage.show(0, pose)
-    stage.send(0, reader.manifest.lods, first=1)
-    stage.send(1, reader.manifest.lods)
+    stage, pose = waiting_for_a_reference(reader)
     assert stage.show(1, pose).lod_mean == 0
     stage.refer(1, pose)
     shown = stage.show(2, pose)
