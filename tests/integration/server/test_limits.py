@@ -156,11 +156,11 @@ class Stuck:
     def __init__(self) -> None:
         session = ClientSession(now_us=0)
         session.hello(hello(), now_us=0)
-        self._waiting = session.data_to_send(0)
+        self.waiting = session.data_to_send(0)
 
     async def recv(self) -> bytes:
-        if self._waiting:
-            return self._waiting.pop(0)
+        if self.waiting:
+            return self.waiting.pop(0)
         await asyncio.Event().wait()
         raise AssertionError
 
@@ -200,6 +200,35 @@ class Willing(Stuck):
 
     async def close(self, reason: str = "") -> None:
         pass
+
+
+@pytest.mark.parametrize(("turn_s", "most_turns", "least_turns"), [(0.1, 4, 0), (0.0, 100, 40)])
+async def test_messages_that_wait_are_read_together_until_the_others_have_a_turn(
+    turn_s: float, most_turns: int, least_turns: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With one message a turn, twenty viewers' acknowledgements were read a second late."""
+    monkeypatch.setattr(client_task, "READING_TURN_S", turn_s)
+    settings = ServerSettings(reference_width=64, reference_height=48)
+    connection = Connection(library(), settings, name="s", now_us=now_us())
+    turns, read_at = 0, list[int]()
+
+    def receive(data: bytes, now_us: int) -> None:
+        read_at.append(turns)
+        sum(range(2000))  # some work, for a clock that may be coarse
+        if len(read_at) == 40:
+            connection.connection_lost("read", now_us)
+
+    monkeypatch.setattr(connection, "receive", receive)
+    transport = Willing()
+    transport.waiting = [b"message"] * 40
+    with ThreadPoolExecutor(1) as executor:
+        async with asyncio.timeout(10):
+            serving_it = asyncio.create_task(ClientTask(transport, connection, executor, slow_s=1.0).run())
+            while not serving_it.done():
+                turns += 1
+                await asyncio.sleep(0)
+    assert len(read_at) == 40
+    assert least_turns <= read_at[-1] - read_at[0] + 1 <= most_turns
 
 
 async def test_a_fault_of_the_server_ends_its_session_with_a_word_and_a_line_in_the_log(
