@@ -119,7 +119,7 @@ class ClientPipeline:
         """The frame is complete. Raises :class:`DecodeError`."""
         capacity = self._store.capacity(message.frame)
         what = f"removed ids of frame {message.frame}"
-        removed = decode_ids(payload, what=what, limit=max(capacity, 1)) if len(payload) else np.zeros(0, np.int32)
+        removed = decode_ids(payload, what=what, limit=capacity)
         self._store.end(message.frame, removed)
 
     def on_weights(self, data: bytes) -> None:

@@ -71,7 +71,9 @@ class BundlePlayer:
             state = self.tile(frame, entry)
             if isinstance(state, MotionTile):
                 self._buffer.set_motion(_fitting(state, entry), frame, state.chunk)
-            elif isinstance(state, UpdateState):
+                continue
+            self._reader.within(state.ids, frame, f"tile {entry.tile}")
+            if isinstance(state, UpdateState):
                 self._buffer.update(frame, state.values())
             else:
                 slot = Slot(len(self._buffer.slots), (frame, entry.tile), steps=state.steps)

@@ -128,7 +128,7 @@ class BundleReader:
         Raises :class:`BundleError`.
         """
         looks = self._tile(self.frame(frame), tile).looks
-        return self._within(self.codec.tile_ids(self.payload(*(looks or (frame, tile)), 0)), frame, f"tile {tile}")
+        return self.within(self.codec.tile_ids(self.payload(*(looks or (frame, tile)), 0)), frame, f"tile {tile}")
 
     def removed_payload(self, frame: int) -> bytes:
         """The ids that ``frame`` removes, packed by :func:`~cags_common.coding.packing.encode_ids`."""
@@ -140,7 +140,7 @@ class BundleReader:
     def removed_ids(self, frame: int) -> Ids:
         """The ids [n] that ``frame`` removes, ascending; none in key frames."""
         gof = self.manifest.gof_of(frame)
-        return decode_ids(self.removed_payload(frame), what=f"frame {frame}", limit=max(self.manifest.capacity[gof], 1))
+        return decode_ids(self.removed_payload(frame), what=f"frame {frame}", limit=self.manifest.capacity[gof])
 
     def source_delta(self, frame: int) -> SourceDelta:
         """What the unquantised ``frame`` changes against the one before (everything in the first of a group)."""
@@ -152,8 +152,8 @@ class BundleReader:
         data = self._store.read(self.manifest.gofs[gof].source.name, start, start + sizes[row][0])
         check_crc(data, sizes[row][1], f"source frame {frame}")
         delta = decode_source(data, f"source frame {frame}")
-        self._within(delta.ids, frame, "source")
-        self._within(delta.removed, frame, "source, removed")
+        self.within(delta.ids, frame, "source")
+        self.within(delta.removed, frame, "source, removed")
         return delta
 
     def source(self, frame: int) -> SourceFrame:
@@ -224,7 +224,7 @@ class BundleReader:
                 self._frames.drop(frame)
             raise
 
-    def _within(self, ids: Ids, frame: int, what: str) -> Ids:
+    def within(self, ids: Ids, frame: int, what: str) -> Ids:
         """``ids``, which index arrays and kernels' memory. Raises :class:`BundleError` beyond the group's capacity."""
         capacity = self.manifest.capacity[self.manifest.gof_of(frame)]
         if len(ids) and not 0 <= int(ids.min()) <= int(ids.max()) < capacity:

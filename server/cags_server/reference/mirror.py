@@ -12,8 +12,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TypeAlias
 
-import numpy as np
-
 from cags_common.coding.packing import decode_ids
 from cags_common.raster.base import RasterScene
 from cags_common.splats import Splats
@@ -171,9 +169,9 @@ class Mirror:
             self._take(arrivals)
             arrivals = []
             if isinstance(event, _End):
-                capacity = max(self._store.capacity(event.frame), 1)
+                capacity = self._store.capacity(event.frame)
                 what = f"removed ids of frame {event.frame}"
-                removed = decode_ids(event.removed, what=what, limit=capacity) if event.removed else _NOBODY
+                removed = decode_ids(event.removed, what=what, limit=capacity)
                 self._store.end(event.frame, removed)
             else:
                 self._store.reset(event.frame)
@@ -192,6 +190,3 @@ class Mirror:
         if len(committed.rows):
             scene.update(committed.rows, store.splats.take(committed.rows))
         return scene
-
-
-_NOBODY = np.zeros(0, np.int32)
