@@ -33,14 +33,17 @@ PATIENCE_S = 120
 OPEN = """
 const done = arguments[0], camera = { widthPx: 160, heightPx: 120, fxPx: 140, fyPx: 140, cxPx: 80, cyPx: 60 };
 const worker = new Worker("/worker.js", { type: "module" }), waiting = new Map();
-let asked = 0, ahead = 0;
+let asked = 0, spent = [];
 window.frame = (request) => new Promise((resolve, reject) => {
   waiting.set(++asked, { resolve, reject });
-  worker.postMessage({ ask: "frame", number: asked, request });
+  worker.postMessage({ ask: "frame", number: asked, request: { ...request, spent } }, spent);
 });
 worker.onerror = (event) => done({ error: event.message || "the worker does not start" });
 worker.onmessage = ({ data }) => {
-  if (data.tell === "frame") waiting.get(data.number).resolve(data.update);
+  if (data.tell === "frame") {
+    waiting.get(data.number).resolve(data.update);
+    spent = data.update.fresh ? [] : data.update.patches.map(({ words }) => words.buffer);
+  }
   else if (data.tell === "failed") waiting.get(data.number).reject(new Error(data.message));
   else if (data.event.type === "error") done({ error: data.event.error.message });
   else if (data.event.type === "whole" && data.event.frame === LAST) done({});
@@ -118,7 +121,7 @@ def cost(folder: Path, page: Path) -> list[JsonObject]:
     ):
         browser.set_script_timeout(PATIENCE_S)
         browser.get(f"http://localhost:{port}/manifest.json")  # of the same origin, and without the page's own worker
-        _answer(browser.execute_async_script(OPEN))
+        answer(browser.execute_async_script(OPEN))
         worker = Worker(browser)
         worker.refined()
         return [worker.media(), worker.between()]
@@ -160,7 +163,7 @@ class Worker:
         return figures("between", rounds[WARM_PASSES:])
 
     def _ask(self, requests: Sequence[JsonObject]) -> list[JsonObject]:
-        updates: list[JsonObject] = _answer(self._browser.execute_async_script(ASK, list(requests)))["updates"]
+        updates: list[JsonObject] = answer(self._browser.execute_async_script(ASK, list(requests)))["updates"]
         return updates
 
     def _timed(self, requests: Sequence[JsonObject]) -> Round:
@@ -243,7 +246,8 @@ def checks(lines: Sequence[JsonObject]) -> list[JsonObject]:
     return out
 
 
-def _answer(told: JsonObject) -> JsonObject:
+def answer(told: JsonObject) -> JsonObject:
+    """What a script of the browser told. Raises :class:`BrowserError` with its error."""
     if "error" in told:
         raise BrowserError(f"the viewer's worker says: {told['error']}")
     return told
