@@ -94,8 +94,8 @@ def test_a_walk_begins_at_the_authors_view_where_none_is_named() -> None:
     assert walk.pose_at(0).position == pytest.approx(pose.position)
     assert walk.pose_at(0).rotation == pytest.approx(pose.rotation)
     usual = open_poses(cli.DEFAULT_WALK, Focus(info.focus_centre, info.focus_radius, info.up))
-    steps = [np.linalg.norm(np.diff(each.positions[:50], axis=0), axis=1) for each in (walk, usual)]
-    np.testing.assert_allclose(*steps, err_msg="and goes on as it would have")
+    ours, others = (np.linalg.norm(np.diff(each.positions[:50], axis=0), axis=1) for each in (walk, usual))
+    np.testing.assert_allclose(ours, others, err_msg="and goes on as it would have")
     named = cli._walk("synthetic:still", ClientSettings(), authored)
     assert named.pose_at(0).position != pytest.approx(pose.position)
 
