@@ -180,7 +180,7 @@ COMPARED = (
     "stalled_ms",
     "frames_displayed",
     "seek_s",
-    "lod_mean",
+    "full_share",
     "psnr_db",
     "bytes",
 )

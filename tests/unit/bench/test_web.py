@@ -51,6 +51,7 @@ def test_a_play_comes_to_when_things_came_and_how_good_they_were(truth: Truth) -
     assert (out["asked_s"], out["first_picture_s"], out["seek_s"]) == (0.5, 1.2, 1.5)
     assert [out[name] for name in ("data_s", "device_s", "picture_s")] == pytest.approx([0.4, 0.1, 0.7])
     assert out["full_share"] == 0.25
+    assert out.keys() >= {*COMPARED} - {"bytes"}, "what stands beside each other is measured"
     assert (out["pictures"], out["frames_displayed"], out["stalls"], out["stalled_ms"]) == (4, 3, 2, 750.0)
     assert (out["lod_first"], out["lod_last"], out["bytes_tiles"]) == (1.0, 2.0, 10)
     assert out["psnr_worst_db"] == truth.psnr(blank) < 40 < truth.psnr(right)
