@@ -8,7 +8,7 @@ import pytest
 from cags_bench.jsonl import check
 from cags_bench.reproduce.page import write_claims
 from cags_bench.reproduce.section import Section
-from cags_bench.reproduce.words import TABLES, renew, renewed
+from cags_bench.reproduce.words import TABLES, page_text, renew, renewed
 from cags_common.errors import ConfigError
 
 DOCS = Path(__file__).parents[4] / "docs"
@@ -84,3 +84,11 @@ def test_claims_of_one_table_replace_their_own_and_leave_the_others(tmp_path) ->
     }
     text = renewed("<!-- made: claims -->\n<!-- end -->", tmp_path)
     assert "| red | rivals is ahead | > 0 dB | -2 |" in text
+
+
+def test_a_page_that_cannot_be_read_is_named_with_the_way_out(tmp_path) -> None:
+    with pytest.raises(ConfigError, match=r"nowhere.md: cannot be read \(No such file.*give an existing"):
+        page_text(tmp_path / "nowhere.md")
+    (tmp_path / "latin.md").write_bytes(b"caf\xe9")
+    with pytest.raises(ConfigError, match=r"latin.md: cannot be read \(it is not UTF-8\)"):
+        page_text(tmp_path / "latin.md")
