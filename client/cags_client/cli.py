@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -67,8 +68,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--poses",
         help="head motion: a CSV trace (time_s,px,py,pz,qw,qx,qy,qz), or synthetic:"
-        "{still,looking,turning,walking,jitter}[:seed=N] (default: synthetic:walking, from the author's view on where "
-        "the scene has one)",
+        "{still,looking,turning,walking,jitter}[:seed=N] (default: synthetic:walking, from the author's view on, or "
+        "from where an object is whole in view)",
     )
     parser.add_argument("--scene", default="", metavar="NAME", help="scene to play, for a server of several")
     parser.add_argument(
@@ -242,14 +243,21 @@ def _tell_page(as_json: bool) -> Callable[[str], None]:
 
 
 def _walk(poses: str | None, settings: ClientSettings, info: Manifest) -> PoseTrace:
-    """The walk that ``poses`` names; where none is named, one that begins at the author's view."""
+    """The walk that ``poses`` names; where none is named, one that begins at the author's view, or where an object is
+    whole in view."""
+    from cags_common.bundle.first_view import first_pose
     from cags_common.poses import Focus, open_poses
+    from cags_common.poses.place import DISTANCE_IN_RADII
 
     focus = Focus(info.focus_centre, info.focus_radius, info.up)
     if poses is not None:
         return open_poses(poses, focus, window_us=_window_us(settings, info))
-    walk, view = open_poses(DEFAULT_WALK, focus), info.view
-    return walk if view is None or view.pose is None else walk.beginning_at(view.pose)
+    if info.view is not None and info.view.pose is not None:
+        return open_poses(DEFAULT_WALK, focus).beginning_at(info.view.pose)
+    pinhole = settings.intrinsics
+    pose = first_pose(info, pinhole.width_px / (2 * pinhole.fx_px), pinhole.height_px / (2 * pinhole.fy_px))
+    away = math.dist(info.focus_centre, pose.position)
+    return open_poses(DEFAULT_WALK, replace(focus, radius=away / DISTANCE_IN_RADII)).beginning_at(pose)
 
 
 def _window_us(settings: ClientSettings, info: Manifest) -> int:

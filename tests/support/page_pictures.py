@@ -1,9 +1,10 @@
 """Pictures of the page for ``docs/images/web``: ``PYTHONPATH=tests python -m support.page_pictures SCENES OUT``.
 
-``SCENES`` is a folder of bundles, of which the first by name is played; names of pictures after ``OUT`` leave out the
-others. Pages are shown as they are at full detail, by a headless Chromium on a software adapter; there a screenshot
-lacks the canvas, which is therefore read out and put in its place. The last pictures are of ``cags-client --view``.
-Pictures are WebP of at most 100 kB.
+``SCENES`` is a folder of bundles, of which the first by name is played from its first frame. Of a clip made by
+``motion:`` take ``kind=bend``: the default kind carries a part of the scene away, the side of a pot for instance. Names
+of pictures after ``OUT`` leave out the others. Pages are shown as they are at full detail, by a headless Chromium on a
+software adapter; there a screenshot lacks the canvas, which is therefore read out and put in its place. The last
+pictures are of ``cags-client --view``. Pictures are WebP of at most 100 kB.
 """
 
 from __future__ import annotations

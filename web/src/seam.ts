@@ -144,6 +144,8 @@ export interface FrameRequest {
   readonly basis?: number;
   /** Ask which splats have changed, for the veto of a correction. */
   readonly changedSince?: ChangedSince;
+  /** Memory of earlier patches that nobody reads any more, for those to come; transferred. */
+  readonly spent?: readonly ArrayBuffer[];
 }
 
 /** See `cags_client.frame.changes`: since the reference of media frame `frame`, which assumes mark `basis` (undefined: changes

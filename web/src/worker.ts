@@ -62,8 +62,13 @@ async function frame({ number, request }: Extract<Request, { ask: "frame" }>): P
 
 host.onmessage = ({ data }) => {
   if (data.ask === "connect") starting = connect(data);
-  else void starting.then(() => answer(data));
+  else starting.then(() => answer(data)).catch(fail); // else what went wrong here would be known to nobody
 };
+
+function fail(error: unknown): void {
+  const message = error instanceof Error ? error.message : String(error);
+  tell({ tell: "event", event: { type: "error", error: { code: "worker", message, fatal: true } } });
+}
 
 function answer(data: Exclude<Request, { ask: "connect" }>): void {
   switch (data.ask) {

@@ -8,7 +8,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from cags_common.errors import ConfigError
+from cags_common.errors import CagsError, ConfigError
+
+
+class BrowserError(CagsError):
+    """The viewer in the browser did not do what was measured; the message says what it did."""
+
 
 FLAGS = (
     "--headless=new",

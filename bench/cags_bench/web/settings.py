@@ -17,10 +17,11 @@ LTE = "generated:lte-driving"
 class WebBenchSettings:
     """Scene, sources and links of the experiment."""
 
-    scene: str = setting("procedural:size=2000,frames=60,fps=10,degree=1", "scene to encode and play")
+    scene: str = setting("procedural:size=30000,frames=240,degree=1", "scene to encode and play")
     links: str = setting(";".join((*LINKS, LTE)), "traces of the link as cags-shaper reads them, separated by ';'")
     sources: str = setting(",".join(SOURCES), f"who hands the scene out, of {', '.join(SOURCES)}")
-    seconds: float = setting(20.0, "time to watch from the first picture on, seconds", low=1, high=3600)
+    cost: bool = setting(True, "also time the worker's frames of 60,000 moving splats")
+    seconds: float = setting(12.0, "time to watch from the first picture on, seconds", low=1, high=3600)
     patience: float = setting(120.0, "time limit for the first picture, seconds", low=1, high=3600)
     width: int = setting(160, "picture width in pixels", low=16, high=4096)
     height: int = setting(120, "picture height in pixels", low=16, high=4096)

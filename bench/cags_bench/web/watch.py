@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 import time
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,10 +16,17 @@ from cags_common.geometry import Camera, Intrinsics, Pose
 KEEP_EVERY_MS = 500
 POLL_S = 0.25
 
+SEEK = "const { player } = window.cags; player.pause(); player.seek(Math.floor(player.info.frames / 2));"
+SOUGHT = """
+const { player } = window.cags;
+return player.shown.frame === Math.floor(player.info.frames / 2) && !player.waiting;
+"""
+
 WATCH = """
 window.watched = { shown: [], at: {} };
 setInterval(() => {
-  const { player } = window.cags ?? {};
+  const { player, show } = window.cags ?? {};
+  if (show?.renderer) window.watched.at.device ??= performance.now();
   if (!player || player.isWatched) return;
   player.isWatched = true;
   const { shown, at } = window.watched, since = (name) => (at[name] ??= performance.now());
@@ -69,42 +77,63 @@ class Picture:
 
 @dataclass(frozen=True)
 class Watched:
-    """A play: when things came (milliseconds of the page), and everything that was shown."""
+    """A play: when things came (milliseconds of the page), everything that was shown, and how long a jump to the middle
+    took after it (nan: it did not arrive)."""
 
     at_ms: dict[str, float]
     shown: list[dict[str, Any]]
     stalls: int
     stalled_ms: float
     missed: int
+    seek_s: float
     status: dict[str, Any]
     complaints: list[str]
     pictures: list[Picture] = field(default_factory=list)
 
 
 def watch(browser: Any, url: str, seconds: float, patience_s: float) -> Watched:
-    """Open ``url``, wait for its first picture for ``patience_s`` at most, and watch it for ``seconds``."""
-    browser.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": WATCH})
-    browser.get(url)
-    ends = time.monotonic() + patience_s
-    while not browser.execute_script("return window.watched.at.picture") and time.monotonic() < ends:
-        time.sleep(POLL_S)
-    time.sleep(seconds)
-    read = browser.execute_script(READ)
-    told = [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+    """Open ``url``, wait for its first picture for ``patience_s`` at most, watch it for ``seconds``, and jump.
+
+    What fails in the browser is a complaint of the play, not an error.
+    """
+    from selenium.common.exceptions import WebDriverException
+
+    told: list[str] = []
+    try:
+        browser.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": WATCH})
+        browser.get(url)
+        if _until(browser, "return window.watched.at.picture", patience_s):
+            time.sleep(seconds)
+        read = browser.execute_script(READ)
+        told += [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+        seek_s = _seek(browser, patience_s) if read["shown"] else math.nan
+    except WebDriverException as error:
+        told.append((error.msg or type(error).__name__).strip().splitlines()[0])
+        return Watched({}, [], 0, 0.0, 0, math.nan, {}, told)
     if not read["shown"]:
-        told.append(f"no picture within {patience_s:g} s; the page says {' '.join(read['words'].split())!r}")
+        told.append(f"no picture within {patience_s:g} s; the page says {' '.join((read['words'] or '').split())!r}")
+    elif math.isnan(seek_s):
+        told.append(f"no picture of the middle within {patience_s:g} s of a jump there")
     pictures = [_picture(row) for row in read["shown"] if "pixels" in row]
     shown = [{k: v for k, v in row.items() if k not in ("pixels", "camera")} for row in read["shown"]]
-    return Watched(
-        read["at"],
-        shown,
-        read["stalls"],
-        read["stalledMs"],
-        read["missed"],
-        read["status"] or {},
-        told,
-        pictures,
-    )
+    status = read["status"] or {}
+    return Watched(read["at"], shown, read["stalls"], read["stalledMs"], read["missed"], seek_s, status, told, pictures)
+
+
+def _seek(browser: Any, patience_s: float) -> float:
+    """Seconds from a jump to the middle of the clip to its picture; nan where it does not come."""
+    begun = time.monotonic()
+    browser.execute_script(SEEK)
+    return time.monotonic() - begun if _until(browser, SOUGHT, patience_s) else math.nan
+
+
+def _until(browser: Any, script: str, patience_s: float) -> bool:
+    ends = time.monotonic() + patience_s
+    while not browser.execute_script(script):
+        if time.monotonic() > ends:
+            return False
+        time.sleep(POLL_S)
+    return True
 
 
 def _picture(row: dict[str, Any]) -> Picture:

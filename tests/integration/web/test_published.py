@@ -18,6 +18,18 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 ROOM = "procedural:size=800,frames=20,seed=1,fps=5,degree=1"
 THIN_LINK = "generated:steady-0.4"
 
+PIPELINES = """
+window.compiled = { ahead: [], late: [] };
+const kinds = [["createComputePipelineAsync", "ahead"], ["createComputePipeline", "late"]];
+for (const [name, list] of window.GPUDevice ? kinds : []) {
+  const own = GPUDevice.prototype[name];
+  GPUDevice.prototype[name] = function (described) {
+    window.compiled[list].push(described.label);
+    return own.call(this, described);
+  };
+}
+"""
+
 
 @pytest.fixture(scope="module")
 def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -51,6 +63,17 @@ def test_its_pictures_are_pythons_byte_for_byte_after_seeks_too(viewer: Page, ho
     viewer.until(f"player.shown.frame === 13 && {WHOLE}")
     same_as_python(viewer, room)
     assert viewer.ask("player.status.bytesReference") == 0
+
+
+def test_shaders_of_references_are_not_compiled_and_all_others_beforehand(viewer: Page, host: int) -> None:
+    viewer.browser.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": PIPELINES})
+    viewer.open(f"http://localhost:{host}/")
+    viewer.until("player?.pictures > 1")
+    compiled = viewer.ask("window.compiled")
+    assert compiled["late"] == []
+    assert "blend.blend" in compiled["ahead"]
+    of_references = {label for label in compiled["ahead"] if label.startswith(("correct.", "compare.", "changed."))}
+    assert of_references == {"correct.plain"}
 
 
 def test_what_is_compressed_already_is_handed_out(host: int) -> None:

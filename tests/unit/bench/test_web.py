@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-import urllib.request
+import gzip
+import itertools
+import math
+import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from cags_bench.jsonl import JsonObject
 from cags_bench.web import hosts
-from cags_bench.web.experiment import COMPARED, Truth, beside, figures
+from cags_bench.web.browser import BrowserError, programs
+from cags_bench.web.cost import SPLATS, Swarm, answer, cost
+from cags_bench.web.experiment import COMPARED, Truth, beside, checks, figures, hosted
 from cags_bench.web.settings import WebBenchSettings
 from cags_bench.web.watch import Picture, Watched
 from cags_common.errors import CagsError, ConfigError
 from cags_common.geometry import Camera, Intrinsics, Pose
+from cags_encoder.bundles.publish import built_page
 from cags_encoder.scenes import open_scene
 
 CAMERA = Camera(Intrinsics(32, 24, 24.0, 24.0, 16.0, 12.0), Pose((0.0, 0.0, -3.0), (1.0, 0.0, 0.0, 0.0)), 0.1)
@@ -36,21 +43,24 @@ def test_a_play_comes_to_when_things_came_and_how_good_they_were(truth: Truth) -
     right = Picture(1, CAMERA, truth.drawn(Picture(1, CAMERA, blank.pixels)))
     assert right.pixels.any()
     shown = [
-        {"frame": frame, "share": share, "lod": lod, "gpuMs": 40.0}
+        {"frame": frame, "share": share, "lod": lod, "full": lod == 2.0, "gpuMs": 40.0}
         for frame, share, lod in ((0, 0, None), (0, 0, 1.0), (0, 0.5, 1.5), (1, 0, 2.0))
     ]
-    at = {"join": 500.0, "whole": 900.0, "picture": 1200.0}
-    out = figures(Watched(at, shown, 2, 750.0, 0, {"bytesTiles": 10}, [], [blank, right]), truth)
-    assert (out["asked_s"], out["data_s"], out["first_picture_s"]) == (0.5, pytest.approx(0.4), 1.2)
+    at = {"join": 500.0, "device": 600.0, "whole": 900.0, "picture": 1200.0}
+    out = figures(Watched(at, shown, 2, 750.0, 0, 1.5, {"bytesTiles": 10}, [], [blank, right]), truth)
+    assert (out["asked_s"], out["first_picture_s"], out["seek_s"]) == (0.5, 1.2, 1.5)
+    assert [out[name] for name in ("data_s", "device_s", "picture_s")] == pytest.approx([0.4, 0.1, 0.7])
+    assert out["full_share"] == 0.25
+    assert out.keys() >= {*COMPARED} - {"bytes"}, "what stands beside each other is measured"
     assert (out["pictures"], out["frames_displayed"], out["stalls"], out["stalled_ms"]) == (4, 3, 2, 750.0)
     assert (out["lod_first"], out["lod_last"], out["bytes_tiles"]) == (1.0, 2.0, 10)
     assert out["psnr_worst_db"] == truth.psnr(blank) < 40 < truth.psnr(right)
 
 
 def test_a_play_that_never_showed_anything_has_no_figures_and_its_reason(truth: Truth) -> None:
-    out = figures(Watched({"join": 1.0}, [], 0, 0.0, 0, {}, ["no picture within 1 s"], []), truth)
+    out = figures(Watched({"join": 1.0}, [], 0, 0.0, 0, math.nan, {}, ["no picture within 1 s"], []), truth)
     assert out["pictures"] == 0 and out["complaints"] == ["no picture within 1 s"]
-    assert all(np.isnan(out[name]) for name in ("first_picture_s", "psnr_db", "lod_first", "drawing_ms"))
+    assert all(np.isnan(out[name]) for name in ("first_picture_s", "psnr_db", "lod_first", "full_share"))
 
 
 def test_both_sources_of_a_link_stand_beside_each_other() -> None:
@@ -66,11 +76,96 @@ def test_both_sources_of_a_link_stand_beside_each_other() -> None:
 def test_a_plain_host_answers_ranges(tmp_path: Path) -> None:
     folder = tmp_path / "site"
     folder.mkdir()
-    (folder / "gof.bin").write_bytes(bytes(range(200)))
+    tiles = bytes(range(200))
+    (folder / f"gof-{zlib.crc32(tiles):08x}-c8.bin").write_bytes(tiles)
+    (folder / "index.html").write_text("<html></html>")
+    (folder / "worker.js").write_text("1;" * 500)
+    (folder / "worker.js.gz").write_bytes(gzip.compress(b"1;" * 500))
+    (folder / "gallery.html").write_text("not of the page")
     try:
         with hosts.nginx(folder, tmp_path / "nginx") as port:
-            request = urllib.request.Request(f"http://127.0.0.1:{port}/gof.bin", headers={"Range": "bytes=10-19"})
-            with urllib.request.urlopen(request, timeout=10) as answer:
-                assert (answer.status, answer.read()) == (206, bytes(range(10, 20)))
+            line = hosted(folder, port)
     except ConfigError as error:
         pytest.skip(str(error))
+    assert [line[f"tile_files{of}"] for of in ("", "_by_ranges", "_named_by_content")] == [1, 1, 1]
+    assert (line["page_files"], line["page_files_revalidated"]) == (2, 2)
+    assert 13 < line["page_bytes"] < 100 and line["page_bytes_of_a_second_visit"] == 0
+
+
+def play_line(**of: object) -> JsonObject:
+    line: JsonObject = {
+        **dict.fromkeys(("asked_s", "data_s", "picture_s", "full_share", "seek_s"), 0.5),
+        **{"case": "play", "source": "published", "link": "generated:steady-10", "page_bytes": 1_000},
+        **{"frames_displayed": 9, "frames_missed": 0, "complaints": []},
+    }
+    return {**line, **of}
+
+
+HOST: JsonObject = {"case": "host", "tile_files": 2, "tile_files_by_ranges": 2, "tile_files_named_by_content": 2}
+PAGE = {"page_files": 7, "page_files_revalidated": 7}
+COST: list[JsonObject] = [
+    {"case": "cost", "frames": kind, "moved_rows": 60_000, "cpu_ms": 3.9} for kind in ("media", "between")
+]
+SLOW, FAST = "generated:steady-2", "generated:steady-20"
+
+
+def failed(*lines: JsonObject) -> list[str]:
+    return [one["name"] for one in checks(lines) if not one["ok"]]
+
+
+def test_every_target_is_a_check_that_can_fail() -> None:
+    good = [*COST, {**HOST, **PAGE}, play_line()]
+    assert len(checks(good)) == 13 and not failed(*good)
+    bad = [
+        *({**line, "moved_rows": 59_999, "cpu_ms": 4.1} for line in COST),
+        {**HOST, **PAGE, "tile_files_by_ranges": 1, "tile_files_named_by_content": 1, "page_files_revalidated": 6},
+        play_line(
+            page_bytes=1_500_001,
+            frames_displayed=1,
+            frames_missed=1,
+            seek_s=math.nan,
+            data_s=1.1,
+            picture_s=math.nan,
+            complaints=["no"],
+        ),
+    ]
+    assert len(failed(*bad)) == 13
+
+
+def test_a_faster_link_shows_no_less() -> None:
+    slow, fast = play_line(link=SLOW, full_share=0.4), play_line(link=FAST, full_share=0.9)
+    assert not failed(slow, fast)
+    assert failed({**slow, "full_share": 0.95}, fast) == [
+        "published adapts: share of pictures at full detail at 2 and at 20 Mbps"
+    ]
+
+
+def test_the_clip_of_the_cost_moves_every_splat_in_every_frame() -> None:
+    swarm = Swarm(300, 4)
+    frames = [swarm.frame(index) for index in range(len(swarm))]
+    for before, after in itertools.pairwise(frames):
+        assert (np.abs(after.means - before.means).max(axis=1) > 1e-3).all()
+        assert (np.abs(after.quats - before.quats).max(axis=1) > 1e-3).all()
+        np.testing.assert_array_equal(before.sh0, after.sh0)
+    assert np.allclose(np.linalg.norm(frames[-1].quats, axis=1), 1, atol=1e-6)
+
+
+def test_a_worker_that_complains_ends_the_measurement() -> None:
+    with pytest.raises(BrowserError, match="no memory"):
+        answer({"error": "no memory"})
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_the_workers_frames_are_timed_in_chromium(tmp_path: Path) -> None:
+    page = built_page()
+    try:
+        programs()
+    except ConfigError as error:
+        pytest.skip(str(error))
+    if page is None:
+        pytest.skip("the viewer is not built")
+    media, between = cost(tmp_path, page)
+    for line in (media, between):
+        assert line["moved_rows"] == SPLATS and line["upload_bytes_a_frame"] == 36 * SPLATS
+        assert 0.3 < line["cpu_ms"] < 100 and line["cpu_p10_ms"] <= line["cpu_ms"] <= line["cpu_p90_ms"]

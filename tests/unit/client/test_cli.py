@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from cags_common.bundle import BundleReader, Manifest
 from cags_common.bundle.view import AuthorView
 from cags_common.errors import ConfigError
 from cags_common.geometry import Pose
+from cags_common.poses import Focus, open_poses
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.scenes import open_scene
 
@@ -91,8 +93,25 @@ def test_a_walk_begins_at_the_authors_view_where_none_is_named() -> None:
     walk = cli._walk(None, ClientSettings(), authored)
     assert walk.pose_at(0).position == pytest.approx(pose.position)
     assert walk.pose_at(0).rotation == pytest.approx(pose.rotation)
-    usual = cli._walk(None, ClientSettings(), info)
-    steps = [np.linalg.norm(np.diff(each.positions[:50], axis=0), axis=1) for each in (walk, usual)]
-    np.testing.assert_allclose(*steps, err_msg="and goes on as it would have")
+    usual = open_poses(cli.DEFAULT_WALK, Focus(info.focus_centre, info.focus_radius, info.up))
+    ours, others = (np.linalg.norm(np.diff(each.positions[:50], axis=0), axis=1) for each in (walk, usual))
+    np.testing.assert_allclose(ours, others, err_msg="and goes on as it would have")
     named = cli._walk("synthetic:still", ClientSettings(), authored)
     assert named.pose_at(0).position != pytest.approx(pose.position)
+
+
+@pytest.mark.parametrize(("width", "height"), [(800, 600), (400, 800), (1600, 500)])
+def test_without_poses_and_view_a_walk_begins_with_all_of_an_object_in_view(width: int, height: int) -> None:
+    """Ears stand out of the ball in which four fifths of the splats lie."""
+    low, high = (-1.33, -0.95, -0.78), (1.35, 0.98, 0.84)
+    info = Manifest("t", 30.0, 30, (0,), (1,), 0, (low, high), (), (), focus_centre=(0.0, 0.1, 0.2), focus_radius=1.04)
+    settings = ClientSettings(width=width, height=height)
+    walk = cli._walk(None, settings, info)
+    corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
+    pose, pinhole = walk.pose_at(0), settings.intrinsics
+    x, y, z = ((corners - pose.position) @ pose.rotation_matrix).T
+    assert (z > 0).all()
+    assert (np.abs(x / z) <= pinhole.width_px / (2 * pinhole.fx_px) + 1e-9).all()
+    assert (np.abs(y / z) <= pinhole.height_px / (2 * pinhole.fy_px) + 1e-9).all()
+    away = np.linalg.norm(walk.positions - np.asarray(info.focus_centre), axis=1)
+    assert away.min() > 0.7 * away[0], "it walks around the object, and not into it"

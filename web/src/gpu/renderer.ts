@@ -83,17 +83,18 @@ export class Renderer {
   /** Settles once the shaders are compiled, which goes on while a scene is fetched: before it frames take longer. */
   readonly prepared: Promise<unknown>;
 
-  private constructor(gpu: Gpu, canvas: HTMLCanvasElement) {
+  private constructor(gpu: Gpu, canvas: HTMLCanvasElement, corrects: boolean) {
     this.gpu = gpu;
-    this.prepared = prepare(gpu, everyGraph()).catch(() => undefined); // what fails here is told by the first frame
+    this.prepared = prepare(gpu, graphs(corrects)).catch(() => undefined); // what fails here is told by the first frame
     this.#workspace = new Workspace(gpu);
     this.#presenter = new Presenter(gpu, canvas);
     this.#counted = gpu.device.createBuffer({ size: 16, usage: GPUBufferUsage.MAP_READ | GPUBufferUsage.COPY_DST });
   }
 
-  /** Throws {@link UnsupportedError}. `onLost` is told when the device goes away by itself. */
-  static async make(canvas: HTMLCanvasElement, onLost: (reason: string) => void): Promise<Renderer> {
-    return new Renderer(await Gpu.make(onLost), canvas);
+  /** Throws {@link UnsupportedError}. `onLost` is told when the device goes away by itself. `corrects`: references may come;
+   * shaders that only they need take most of the time of compiling, and are not compiled beforehand where none can. */
+  static async make(canvas: HTMLCanvasElement, onLost: (reason: string) => void, corrects: boolean): Promise<Renderer> {
+    return new Renderer(await Gpu.make(onLost), canvas, corrects);
   }
 
   destroy(): void {
@@ -277,10 +278,13 @@ export class Renderer {
   }
 }
 
-/** The graphs of a frame, with the flags that they will run with. */
-function everyGraph(): Parameters<typeof prepare>[1] {
+const DRAWING = ["project", "draw", "plain"] as const;
+const CORRECTING = ["expand", "compare", "changed", "correct"] as const;
+
+/** The graphs of a frame, with or without those of references, with the flags that they will run with. */
+export function graphs(corrects: boolean): Parameters<typeof prepare>[1] {
   const frame = { ...frameFlags({ exactness: "balanced" }, true), ...SHOWN };
-  const drawn = ["project", "draw", "plain", "expand", "compare", "changed", "correct"].map((name) => [name, frame] as const);
+  const drawn = [...DRAWING, ...(corrects ? CORRECTING : [])].map((name) => [name, frame] as const);
   const moved = { motion: true, looks: false, colour: false };
   return [["update", { motion: true, looks: true, colour: true }], ["update", moved], ["hash", {}], ...drawn];
 }

@@ -150,7 +150,7 @@ export class DrawnShow implements Show {
 
   /** The renderer, once there is a device; another attempt makes another where there was none. */
   #render(): Promise<Renderer> {
-    const made = Renderer.make(this.#host.canvas, (reason) => this.#lostDevice(reason)).then((renderer) => {
+    const made = Renderer.make(this.#host.canvas, (reason) => this.#lostDevice(reason), !PUBLISHED).then((renderer) => {
       renderer.background = this.#background;
       return (this.renderer = renderer);
     });

@@ -31,7 +31,7 @@ export class Uploads {
     this.#done = done;
     const [zone, files] = [the("upload"), the<HTMLInputElement>("files")];
     the("choose").addEventListener("click", () => files.click());
-    the("cancel").addEventListener("click", () => (this.#sending ? this.#sending.abort() : void this.#ask("upload", { method: "DELETE" })));
+    the("cancel").addEventListener("click", () => (this.#sending ? this.#sending.abort() : void this.#stop()));
     files.addEventListener("change", () => {
       void this.#send([...(files.files ?? [])]);
       files.value = ""; // so that the same file can be chosen again
@@ -55,14 +55,17 @@ export class Uploads {
 
   async #send(files: readonly File[]): Promise<void> {
     if (!files.length || !this.#mostBytes) return;
+    if (this.#sending || !the("job").hidden) return this.#say("One file at a time: the server still has another.");
     this.#say("");
     const bytes = files.reduce((sum, file) => sum + file.size, 0);
     if (bytes > this.#mostBytes) return this.#say(`${files[0].name}: ${(bytes / 1e6).toFixed(0)} MB are more than the ${(this.#mostBytes / 1e6).toFixed(0)} MB that this server takes.`);
     this.#show({ state: "receiving", text: "Sending", share: null, scene: "" });
-    const [name, body] = files.length === 1 ? [files[0].name, files[0]] : ["frames.zip", await zipped(files)];
     const sending = (this.#sending = new AbortController());
-    const look = window.setTimeout(() => void this.#look(), LOOK_MS);
+    let look = 0;
     try {
+      const [name, body] = files.length === 1 ? [files[0].name, files[0]] : ["frames.zip", await zipped(files)];
+      sending.signal.throwIfAborted();
+      look = window.setTimeout(() => void this.#look(), LOOK_MS);
       const answer = await this.#ask(`upload?${new URLSearchParams({ name })}`, { method: "POST", body, signal: sending.signal });
       if (!answer.ok) throw new Error(await reasonOf(answer));
       void this.#look();
@@ -77,14 +80,24 @@ export class Uploads {
     }
   }
 
+  /** Have the server give the job up. */
+  async #stop(): Promise<void> {
+    try {
+      const answer = await this.#ask("upload", { method: "DELETE" });
+      if (!answer.ok) this.#say(await reasonOf(answer));
+    } catch {
+      this.#say("The server is not there; it may go on encoding.");
+    }
+  }
+
   /** Follow the job under way, whoever began it. */
   async #look(): Promise<void> {
     clearTimeout(this.#looking);
     const again = (): void => void (this.#looking = window.setTimeout(() => void this.#look(), LOOK_MS));
     const answer = await this.#ask("upload").catch(() => undefined);
-    if (!answer && !the("job").hidden) return again(); // the server may be back, and still at it
-    if (!answer?.ok) return;
-    const job = (await answer.json()) as Job;
+    const job = answer?.ok ? await (answer.json() as Promise<Job>).catch(() => undefined) : undefined;
+    if ((!answer || answer.ok) && !job && !the("job").hidden) return again(); // the server may be back, and still at it
+    if (!job) return;
     const before = the("job").hidden;
     this.#show(job);
     if (job.state === "receiving" || job.state === "encoding") again();

@@ -2,8 +2,13 @@
 
 import { crc32 } from "../bytes/crc32.ts";
 
-/** A ZIP archive (PKWARE's APPNOTE 4.3) of at most 65,535 files and 4 GB, without folders. */
+const [MOST_FILES, MOST_BYTES] = [2 ** 16 - 1, 2 ** 32 - 1];
+
+/** A ZIP archive (PKWARE's APPNOTE 4.3), without folders. Throws for more files or bytes than its fields can say. */
 export async function zipped(files: readonly File[]): Promise<Blob> {
+  if (files.length > MOST_FILES || files.reduce((sum, { size }) => sum + size, 0) > MOST_BYTES) {
+    throw new Error(`These are too many files to be sent at once: at most ${MOST_FILES}, of 4 GB together.`);
+  }
   const [parts, directory]: [BlobPart[], BlobPart[]] = [[], []];
   let offset = 0;
   let length = 0;

@@ -141,6 +141,7 @@ export class Player {
   #begunUs = -Infinity; // the newest picture
   #drawnView = "";
   #rested = false;
+  readonly #spent: ArrayBuffer[] = []; // of patches that the device has
   #newestOrder = 0; // of references that have come
   #ready = false; // there is a renderer, and its shaders are compiled
   #ended = false;
@@ -405,14 +406,17 @@ export class Player {
     const { pose, intrinsics } = this.#view();
     const camera = this.#cameraOf({ pose, intrinsics });
     const speaks = this.correct && reference?.picture ? reference : undefined;
+    const spent = this.#spent.splice(0);
     const update = await this.#source.frame({
       frame,
       share,
+      ...(spent.length ? { spent } : {}),
       ...(basis === undefined ? {} : { basis }),
       ...(speaks ? { changedSince: changedSince(speaks.reference, camera) } : {}),
     });
     this.#references.marked(update.mark);
     this.#renderer.update(update);
+    if (!update.fresh) this.#spent.push(...update.patches.map(({ words }) => words.buffer)); // of all rows they are larger than any
     if (media && update.missed) this.missed++;
     await this.#draw(frame, share, update, begun, media);
   }

@@ -20,7 +20,7 @@ export type Answer =
 
 /** The part of a Worker that is used. */
 export interface Port {
-  postMessage(message: Request): void;
+  postMessage(message: Request, transfer?: Transferable[]): void;
   onmessage: ((event: MessageEvent<Answer>) => void) | null;
   onerror: ((event: ErrorEvent) => void) | null;
   terminate(): void;
@@ -82,7 +82,7 @@ export class RemoteSource implements SceneSource {
     const number = ++this.asked;
     return new Promise((resolve, reject) => {
       this.waiting.set(number, { resolve, reject });
-      this.port.postMessage({ ask: "frame", number, request });
+      this.port.postMessage({ ask: "frame", number, request }, [...(request.spent ?? [])]);
     });
   }
 

@@ -1,5 +1,6 @@
 /** What every source shares: a store, and frames of it as patches for the GPU. */
 import { DecodeError } from "../bytes/errors.ts";
+import { BufferPool } from "../bytes/pool.ts";
 import { TileCodec } from "../decode/codec.ts";
 import type { Draco } from "../decode/draco.ts";
 import type { Kernels } from "../decode/kernels.ts";
@@ -30,6 +31,7 @@ export class SceneStore {
   private readonly decoders: Decoders;
   private readonly opener: LateOpener;
   private readonly changes = new Changes();
+  private readonly pool = new BufferPool();
   private scene = 0;
   private shDegree = 0;
 
@@ -94,6 +96,7 @@ export class SceneStore {
   frame(request: FrameRequest, view: Camera | undefined): FrameUpdate {
     const begun = performance.now();
     const { frame, basis, changedSince } = request;
+    this.pool.give(request.spent ?? []);
     const share = request.share ?? 0;
     this.shownFrame = frame;
     const [store, committed] = (share ? this.store.move(frame, share) : undefined) ?? this.committed(frame, basis);
@@ -137,7 +140,7 @@ export class SceneStore {
   }
 
   private patch({ buffer }: GofBuffer, rows: Int32Array, all: boolean): Patch {
-    const { words, width } = buffer.packed(rows, all);
+    const { words, width } = buffer.packed(rows, all, this.pool);
     if (all) this.shDegree = Math.max(this.shDegree, heldBand(words, rows.length, width));
     return { motion: true, looks: all, colour: all, rows: rows.length, width, words };
   }

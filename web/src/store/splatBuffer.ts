@@ -2,6 +2,7 @@
  * The splats of one group of frames, by id, merged from tiles; the rules are those of `cags_common.tiles.splat_buffer`, and so
  * are the bits. Columns lie in the kernels' memory, where motion is evaluated and rows are packed for the GPU.
  */
+import type { BufferPool } from "../bytes/pool.ts";
 import type { Kernels } from "../decode/kernels.ts";
 import { SH_REST_OF_DEGREE, type Splats, WIDTHS } from "../decode/splats.ts";
 import { UPDATE_COLUMNS, type UpdateColumn, type UpdateValues } from "../decode/updates.ts";
@@ -108,8 +109,9 @@ export class SplatBuffer {
     return this.owners!;
   }
 
-  /** Rows as `update.wgsl` takes them: [rows, 1 + width]; with `all` every column, else what motion changes. */
-  packed(rows: Int32Array, all: boolean): { words: Uint32Array<ArrayBuffer>; width: number } {
+  /** Rows as `update.wgsl` takes them: [rows, 1 + width], in memory of `pool`; with `all` every column, else what motion
+   * changes. */
+  packed(rows: Int32Array, all: boolean, pool: BufferPool): { words: Uint32Array<ArrayBuffer>; width: number } {
     const columns = this.made();
     const width = all ? 14 + 3 * this.shCount : 8;
     return this.kernels.scoped((scope) => {
@@ -117,7 +119,7 @@ export class SplatBuffer {
       const { means, quats, log_scales, logit_opacities, sh0, sh_rest } = columns;
       this.kernels.u32(splats, 7).set([means, quats, log_scales, logit_opacities, sh0, sh_rest, 3 * this.shCount]);
       this.kernels.calls.cags_web_pack(splats, rows.length, given, all ? 1 : 0, out);
-      return { words: this.kernels.u32(out, rows.length * (1 + width)).slice(), width };
+      return { words: pool.copy(this.kernels.u32(out, rows.length * (1 + width))), width };
     });
   }
 

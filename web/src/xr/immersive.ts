@@ -84,7 +84,7 @@ export class Immersive {
   }
 
   leave(): void {
-    void this.#session.end();
+    this.#session.end().catch(() => undefined); // it has ended by itself, or is about to
   }
 
   /** Back to where the visit began, at one's own size. */

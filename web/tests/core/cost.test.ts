@@ -33,12 +33,16 @@ test("a frame in which every splat moves", async () => {
   for (let i = 0; i < 30; i++) scene.frame({ frame: 0, share: 0.1 + i / 100 }, undefined); // warm
   const times: number[] = [];
   let bytes = 0;
+  let spent: ArrayBuffer[] = [];
   for (let round = 0; round < ROUNDS; round++) {
     const start = process.cpuUsage();
     for (const share of [0.13, 0.37, 0.61, 0.89]) {
-      const { patches, movedRows } = scene.frame({ frame: 0, share: share + round / 1000 }, undefined);
+      const { patches, movedRows } = scene.frame({ frame: 0, share: share + round / 1000, spent }, undefined);
       assert.equal(movedRows, splats);
-      bytes = patches[0]!.words.byteLength;
+      const { words } = patches[0]!;
+      if (spent.length) assert.equal(words.buffer, spent[0], "no memory is taken anew");
+      bytes = words.byteLength;
+      spent = [words.buffer];
     }
     const { user, system } = process.cpuUsage(start);
     times.push((user + system) / 4000);

@@ -256,3 +256,19 @@ test("a device that is too slow draws fewer pixels and then fewer frames, and pi
   await page.until("fewer frames", () => page.player.cadencePermille < 1000);
   assert.equal(page.player.scale, 0.35);
 });
+
+test("patches that the device has go back to the source once, but for those of all rows", async () => {
+  const page = new Page(true);
+  const blocks: ArrayBuffer[] = [];
+  const answered = page.source.frame.bind(page.source);
+  page.source.frame = async (request) => {
+    const words = new Uint32Array(4);
+    blocks.push(words.buffer);
+    return { ...(await answered(request)), fresh: blocks.length === 1, patches: [{ words }] } as unknown as FrameUpdate;
+  };
+  page.whole(...upTo(30));
+  await page.until("ten pictures", () => page.source.asked.length > 10);
+  const back = page.source.asked.flatMap(({ spent }) => spent ?? []);
+  assert.deepEqual(back, blocks.slice(1, 1 + back.length));
+  assert.ok(back.length >= page.source.asked.length - 3, "every one but the newest");
+});
