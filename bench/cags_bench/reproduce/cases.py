@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from cags_bench.bundles import cached_bundle, default_cache, looped
+from cags_bench.bundles import cached_bundle, default_cache, identified, looped
 from cags_bench.film.film import FilmMaker
 from cags_bench.film.metrics import measure
 from cags_bench.jsonl import JsonObject
@@ -48,6 +48,15 @@ class Encoding:
 
     scene: str
     settings: EncodeSettings
+
+    @property
+    def clip(self) -> Clip:
+        """What is encoded."""
+        return self.scene, self.settings.frames
+
+
+Clip = tuple[str, int | None]
+"""A scene and its number of frames."""
 
 
 class Work(Protocol):
@@ -195,8 +204,17 @@ class Runner:
 
     def bundle(self, encoding: Encoding) -> Path:
         """The encoded scene."""
-        folder = self.bundles or str(default_cache() / f"code-{code_digest()}")
-        return cached_bundle(encoding.scene, folder, encoding.settings, progress=self.progress)
+        scene, settings = encoding.scene, encoding.settings
+        source = functools.partial(identified, scene, settings.frames, self._folder / "identities")
+        return cached_bundle(scene, str(self._folder), settings, progress=self.progress, source=source)
+
+    def link(self, clip: Clip) -> None:
+        """Find the identities of a clip's splats, for all of its encodings."""
+        identified(*clip, self._folder / "identities")
+
+    @property
+    def _folder(self) -> Path:
+        return Path(self.bundles) if self.bundles else default_cache() / f"code-{code_digest()}"
 
 
 @functools.cache

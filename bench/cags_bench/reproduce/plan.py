@@ -91,11 +91,14 @@ class Context:
         return self.runner.run(work)
 
     def case(self, scene: str, method: str, mbps: float | None = None, *, unscaled: bool = False) -> StreamCase:
-        """One streamed case of the plan. LPIPS and films are measured only where a table shows them."""
+        """One streamed case of the plan. LPIPS and films are measured only where a table shows them; in a quick run
+        films, which take a quarter of a session's time, over the slowest link and the trace.
+        """
         p = self.plan
         case = StreamCase(scene, method, p.poses, p.frames, p.width, p.height, p.trace, mbps, unscaled)
         shown = scene in p.scenes and method in p.methods and mbps in p.links and not unscaled
-        return replace(case, lpips=p.lpips, video=p.video) if shown else case
+        filmed = shown and (not p.quick or mbps in (p.rates_mbps[0], None))
+        return replace(case, lpips=p.lpips if shown else "", video=p.video if filmed else ())
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,18 @@
 """Runs the units of a reproduction ahead, on all cores; each is kept when done.
 
-A unit starts when its encodings are there. Encodings come first, the long ones ahead, so no core waits for the last.
+A unit starts when its encodings are there, and an encoding when its clip is linked. Long ones come first, so no core
+waits for the last.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass, field
+from typing import Any
 
-from cags_bench.reproduce.cases import Encoding, Runner, StreamCase, Work
+from cags_bench.reproduce.cases import Clip, Encoding, Runner, StreamCase, Work
 from cags_bench.reproduce.methods import METHODS
 from cags_common.runtime.processes import process_pool
 
@@ -43,52 +46,62 @@ def _short(encoding: Encoding) -> tuple[bool, int]:
 
 @dataclass
 class _Ahead:
-    """Encodings and units under way."""
+    """Clips whose splats are linked, encodings and units under way, each started when what it needs is there."""
 
     runner: Runner
     pool: ProcessPoolExecutor
     works: Sequence[Work]
     tell: Tell
-    encoding: dict[Future[object], Encoding] = field(default_factory=dict)
-    computing: dict[Future[object], Work] = field(default_factory=dict)
-    encoded: set[Encoding] = field(default_factory=set)
+    under_way: dict[Future[object], Clip | Encoding | Work] = field(default_factory=dict)
+    done: set[Clip | Encoding] = field(default_factory=set)
+    counts: Counter[str] = field(default_factory=Counter)
 
     def run(self) -> None:
         """Return when all is done; what fails ends the rest."""
-        wanted = sorted(dict.fromkeys(one for work in self.works for one in work.encodings), key=_short)
-        self.encoding = {self.pool.submit(self.runner.bundle, one): one for one in wanted}
-        waiting = self._start(self.works)
-        done_encodings = done_works = 0
+        encodings = sorted(dict.fromkeys(one for work in self.works for one in work.encodings), key=_short)
+        clips = list(dict.fromkeys(one.clip for one in encodings))
+        self._submit(self.runner.link, clips)
+        waiting: list[Encoding | Work] = [*encodings, *self.works]
+        totals = {"encoded": len(encodings), "computed": len(self.works)}
         try:
-            while self.encoding or self.computing:
-                for future in wait([*self.encoding, *self.computing], return_when=FIRST_COMPLETED).done:
+            while self.under_way:
+                for future in wait(self.under_way, return_when=FIRST_COMPLETED).done:
                     future.result()
-                    if future in self.encoding:
-                        one = self.encoding.pop(future)
-                        self.encoded.add(one)
-                        waiting = self._start(waiting)
-                        done_encodings += 1
-                        self.tell(f"encoded {done_encodings}/{len(wanted)}: {one.scene}, {_differing(one)}")
-                    else:
-                        done_works += 1
-                        self.tell(f"computed {done_works}/{len(self.works)}: {self.computing.pop(future)}")
+                    self._told(self.under_way.pop(future), totals)
+                waiting = self._start(waiting)
         except BaseException:
-            for future in (*self.encoding, *self.computing):
+            for future in self.under_way:
                 future.cancel()
             raise
 
-    def _start(self, works: Sequence[Work]) -> list[Work]:
-        """Start the units whose encodings are there, and return the others."""
-        waiting = []
-        for work in works:
-            if self.encoded.issuperset(work.encodings):
-                self.computing[self.pool.submit(self.runner.run, work)] = work
+    def _told(self, one: Clip | Encoding | Work, totals: Mapping[str, int]) -> None:
+        if isinstance(one, tuple):
+            self.done.add(one)
+            return
+        stage, what = ("encoded", _differing(one)) if isinstance(one, Encoding) else ("computed", str(one))
+        if isinstance(one, Encoding):
+            self.done.add(one)
+        self.counts[stage] += 1
+        self.tell(f"{stage} {self.counts[stage]}/{totals[stage]}: {what}")
+
+    def _start(self, waiting: Sequence[Encoding | Work]) -> list[Encoding | Work]:
+        """Start what can be, and return the rest."""
+        rest = []
+        for one in waiting:
+            needs = [one.clip] if isinstance(one, Encoding) else one.encodings
+            if not self.done.issuperset(needs):
+                rest.append(one)
+            elif isinstance(one, Encoding):
+                self._submit(self.runner.bundle, [one])
             else:
-                waiting.append(work)
-        return waiting
+                self._submit(self.runner.run, [one])
+        return rest
+
+    def _submit(self, work: Callable[[Any], object], ones: Sequence[Clip | Encoding | Work]) -> None:
+        self.under_way |= {self.pool.submit(work, one): one for one in ones}
 
 
 def _differing(encoding: Encoding) -> str:
     """What sets an encoding apart."""
     settings = encoding.settings
-    return f"{settings.codec} {settings.quantiser}, {settings.frames} frames"
+    return f"{encoding.scene}, {settings.codec} {settings.quantiser}, {settings.frames} frames"

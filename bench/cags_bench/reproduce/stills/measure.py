@@ -211,7 +211,7 @@ NETWORKS = {SUPER_RESOLVED: "sr-align-ref", RECOLOURED: "cr-no-ref", EXAMPLE: "s
 
 def _motivation(runner: Runner, case: StillCase, stills: Stills) -> list[JsonObject]:
     """PSNR of every view, by flat quantiser and by what is shown."""
-    references = [_reference(stills, camera) for camera in stills.cameras]
+    examples = [_example(stills, *view) for view in zip(stills.cameras, stills.truths, strict=True)]
     networks = {way: restore.create(name, threads=runner.threads) for way, name in NETWORKS.items()}
     out = []
     for number, config in enumerate(CONFIGS, start=1):
@@ -223,42 +223,50 @@ def _motivation(runner: Runner, case: StillCase, stills: Stills) -> list[JsonObj
                 "bytes_a_splat": flat.bytes / len(stills.source),
                 "codebook_bytes": flat.codebook_bytes,
                 "lossless": list(flat.lossless),
-                "psnr_db": _ways(stills, flat.splats, references, networks, level),
+                "psnr_db": _ways(stills, flat.splats, examples, networks, level),
             }
         )
     return out
 
 
-def _reference(stills: Stills, camera: Camera) -> Reference:
+@dataclass(frozen=True)
+class Example:
+    """What is known of a view before any splats arrive."""
+
+    camera: Camera
+    truth: F32
+    reference: Reference
+    enlarged: F32
+    """The reference at the client's size."""
+
+
+def _example(stills: Stills, camera: Camera, truth: F32) -> Example:
     """A picture of 400x300 for the exact pose, as in the paper."""
+    import cv2
+
     small = replace(camera, intrinsics=camera.intrinsics.resized(400, 300))
     footprint = Footprint.of(camera.intrinsics, small.intrinsics)
     rgb = raster.create(stills.device).load(stills.source).render(small, RenderOptions(footprint=footprint)).rgb
-    return Reference(rgb.clip(0, 1), small, picture=True)
+    reference = Reference(rgb.clip(0, 1), small, picture=True)
+    size = (camera.width_px, camera.height_px)
+    up: Any = cv2.resize(reference.coded, size, interpolation=cv2.INTER_LINEAR)
+    return Example(camera, truth, reference, np.asarray(up, np.float32))
 
 
 def _ways(
-    stills: Stills,
-    splats: Splats,
-    references: Sequence[Reference],
-    networks: Mapping[str, restore.Restorer],
-    level: float,
+    stills: Stills, splats: Splats, examples: Sequence[Example], networks: Mapping[str, restore.Restorer], level: float
 ) -> dict[str, list[float]]:
     """PSNR of each view, by way."""
-    import cv2
-
     scene, corrector = raster.create(stills.device).load(splats), correction.create("auto")
     found: dict[str, list[float]] = {way: [] for way in WAYS}
-    for camera, truth, reference in zip(stills.cameras, stills.truths, references, strict=True):
-        seen = see(scene, camera)
-        size = (camera.width_px, camera.height_px)
-        up: Any = cv2.resize(reference.coded, size, interpolation=cv2.INTER_LINEAR)
-        pictures = {UPSAMPLED: np.asarray(up, np.float32), DISTORTED: seen.distorted}
-        aligned = seen.aligned(ReferencePicture(reference.coded, reference.camera, 0), colours=True)
-        pictures |= {way: one.restore(RestoreInput(seen.distorted, aligned, level)) for way, one in networks.items()}
-        pictures[OURS] = seen.corrected(reference, corrector).rgb
+    for one in examples:
+        seen = see(scene, one.camera)
+        aligned = seen.aligned(ReferencePicture(one.reference.coded, one.reference.camera, 0), colours=True)
+        pictures = {UPSAMPLED: one.enlarged, DISTORTED: seen.distorted}
+        pictures |= {way: net.restore(RestoreInput(seen.distorted, aligned, level)) for way, net in networks.items()}
+        pictures[OURS] = seen.corrected(one.reference, corrector).rgb
         for way, picture in pictures.items():
-            found[way].append(psnr(picture, truth))
+            found[way].append(psnr(picture, one.truth))
     return found
 
 

@@ -10,7 +10,7 @@ from cags_bench.reproduce.cache import ResultCache
 from cags_bench.reproduce.cases import Runner, StreamCase
 from cags_bench.reproduce.experiments import EXPERIMENTS
 from cags_bench.reproduce.experiments.coding import _against
-from cags_bench.reproduce.marking import marked
+from cags_bench.reproduce.marking import marked, titles
 from cags_bench.reproduce.methods import ABLATIONS, BASELINES, METHODS
 from cags_bench.reproduce.page import write_page, write_section
 from cags_bench.reproduce.plan import Context, Plan
@@ -125,11 +125,25 @@ def test_rows_of_what_was_trained_on_are_marked():
         "x", "X", "p", ("scene", "dB"), [[seen, 1.0], [f"{unseen}, default", 2.0], [f"paper-66, {seen}", 3.0]]
     )
     found = marked(section, plan)
-    assert [row[0] for row in found.rows] == [f"{seen} †", f"{unseen}, default", f"paper-66, {seen} †"]
+    assert [row[0] for row in found.rows] == ["plant †", "violin, default", "paper-66, plant †"]
     assert len(found.notes) == 1
-    assert "plant.splat was seen before: " in found.notes[0]
+    assert "† plant was seen before: " in found.notes[0]
     assert "training of srresnet" in found.notes[0]
     assert len(marked(section, PLAN).notes) == 2, "walk and trace"
+
+
+def test_scenes_have_names_for_people_wherever_they_stand():
+    room, head = "procedural:size=30000,frames=45", "../shared/scenes/talking_head/params.npz:up=y"
+    curves = [Curve(f"{room}, default", [1], [2])]
+    section = Section("x", "X", "p", ("scene",), [[room]], [Plot(head, "x", "y", curves)])
+    section = replace(section, checks=[check("ahead", "> 0", f"least on {head}, 60 Mbps", ok=True)])
+    found = marked(section, replace(PLAN, scenes=(room, head)))
+    assert found.rows[0][0] == "room of 30,000 splats †"
+    assert found.plots[0].title == "talking head"
+    assert found.plots[0].curves[0].label == "room of 30,000 splats, default"
+    assert found.checks[0]["value"] == "least on talking head, 60 Mbps"
+    twins = ("a/wave", "b/wave")
+    assert titles(twins) == dict(zip(twins, twins, strict=True)), "one name for two scenes is none"
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -316,6 +330,10 @@ def test_films_are_measured_only_where_a_table_shows_them():
     context = Context(plan, Strict(set()), print)
     shown = context.case("a", "cags", 30.0)
     assert (shown.video, shown.lpips) == (("vmaf",), "w.npz")
+    fast = context.case("a", "cags", 150.0)
+    assert (fast.video, fast.lpips) == ((), "w.npz"), "a quick run films the slowest link and the trace"
+    assert context.case("a", "cags").video == ("vmaf",)
+    assert Context(replace(plan, quick=False), Strict(set()), print).case("a", "cags", 150.0).video == ("vmaf",)
     for other in (
         context.case("a", "pictures", 30.0),
         context.case("b", "cags", 30.0),
