@@ -21,7 +21,7 @@ from cags_bench.reproduce.plan import Context, Experiment, Plan
 from cags_bench.reproduce.prepare import prepare
 from cags_bench.reproduce.section import Section
 from cags_bench.reproduce.settings import ReproduceSettings
-from cags_bench.reproduce.words import renew
+from cags_bench.reproduce.words import page_text, renew
 from cags_common.errors import ConfigError
 
 QUICK_LIMIT_MIN = 25.0
@@ -40,6 +40,8 @@ def reproduce(settings: ReproduceSettings) -> Iterator[dict[str, Any]]:
     """Make the chosen experiments; every finished one is on disk before the next begins."""
     chosen = _chosen(settings)
     plan = _plan(settings)
+    if settings.page:
+        page_text(Path(settings.page))  # a wrong name is told now, not after the run
     context = Context(plan, Runner(ResultCache(), settings.cache, settings.device), _tell)
     out, sections = Path(settings.out), list[Section]()
     started = time.monotonic()

@@ -25,11 +25,16 @@ _MARKED = re.compile(r"(<!-- made: ([a-z]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 def renew(page: Path, figures: Path) -> None:
     """Generate the marked tables of ``page`` from the JSON lines in ``figures``. Raises :class:`ConfigError`."""
+    write_whole(page, renewed(page_text(page), figures).encode())
+
+
+def page_text(page: Path) -> str:
+    """The text of a page whose tables are to be generated. Raises :class:`ConfigError` if it cannot be read."""
     try:
-        text = page.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"page = {page}: {error}") from error
-    write_whole(page, renewed(text, figures).encode())
+        return page.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
+        raise ConfigError(f"page = {page}: cannot be read ({reason}); give an existing Markdown page") from error
 
 
 def renewed(text: str, figures: Path) -> str:

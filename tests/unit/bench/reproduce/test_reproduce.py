@@ -56,6 +56,7 @@ def test_an_interrupted_result_is_not_kept(tmp_path):
         (ReproduceSettings(table="rivals", methods="cags lts"), "methods: 'lts' is unknown; known: cags"),
         (ReproduceSettings(table="rivals", links="30 fast"), "must be numbers"),
         (ReproduceSettings(table="rivals", links="30 -1"), "must be above 0"),
+        (ReproduceSettings(figure="fixed", page="nowhere.md"), "nowhere.md: cannot be read"),
         (ReproduceSettings(figure="fixed", kept=True), "kept = true is for --table sessions or rivals"),
     ],
 )

@@ -9,7 +9,7 @@ from cags_bench.jsonl import check
 from cags_bench.reproduce.experiments import EXPERIMENTS
 from cags_bench.reproduce.page import write_claims, write_section
 from cags_bench.reproduce.section import Section
-from cags_bench.reproduce.words import HEADLINES, TABLES, renew, renewed
+from cags_bench.reproduce.words import HEADLINES, TABLES, page_text, renew, renewed
 from cags_common.errors import ConfigError
 
 DOCS = Path(__file__).parents[4] / "docs"
@@ -133,3 +133,11 @@ def test_a_table_stands_as_measured_or_says_how_to_measure_it(tmp_path: Path) ->
     text = renewed(mark, tmp_path)
     assert "| head | 40.12 | 7 |" in text
     assert "| b | - | 8 |" in text
+
+
+def test_a_page_that_cannot_be_read_is_named_with_the_way_out(tmp_path) -> None:
+    with pytest.raises(ConfigError, match=r"nowhere.md: cannot be read \(No such file.*give an existing"):
+        page_text(tmp_path / "nowhere.md")
+    (tmp_path / "latin.md").write_bytes(b"caf\xe9")
+    with pytest.raises(ConfigError, match=r"latin.md: cannot be read \(it is not UTF-8\)"):
+        page_text(tmp_path / "latin.md")
