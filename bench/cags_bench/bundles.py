@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,11 +22,18 @@ def default_cache() -> Path:
     return Path(root) / "cags-stream" / "bundles"
 
 
-def cached_bundle(scene: str, cache: str, settings: EncodeSettings, *, progress: bool = True) -> Path:
+def cached_bundle(
+    scene: str,
+    cache: str,
+    settings: EncodeSettings,
+    *,
+    progress: bool = True,
+    source: Callable[[], FrameSource] | None = None,
+) -> Path:
     """Folder of the bundle of ``scene``; encoded only if it is not in the cache.
 
     ``cache`` is the folder of bundles; empty: :func:`default_cache`. A scene with fewer than ``settings.frames`` frames
-    is repeated. ``progress``: show a progress bar.
+    is repeated. ``progress``: show a progress bar. ``source`` opens the scene in another way; None: as its spec says.
     """
     from cags_encoder import content_key, encode
     from cags_encoder.execution.progress import progress_bar
@@ -36,7 +44,8 @@ def cached_bundle(scene: str, cache: str, settings: EncodeSettings, *, progress:
     if not _readable(bundle):
         folder.mkdir(parents=True, exist_ok=True)
         with progress_bar() if progress else nullcontext() as tell:
-            encode(looped(open_scene(scene), settings.frames), settings, str(bundle), tell)
+            opened = source() if source else looped(open_scene(scene), settings.frames)
+            encode(opened, settings, str(bundle), tell)
     return bundle
 
 
@@ -53,11 +62,10 @@ def _readable(bundle: Path) -> bool:
 
 
 @dataclass(frozen=True)
-class LoopedSource:
-    """A scene that repeats."""
+class _Wrapped:
+    """A scene played in another way: its name, rate, up direction and focus stay."""
 
     source: FrameSource
-    length: int
 
     @property
     def name(self) -> str:
@@ -79,6 +87,13 @@ class LoopedSource:
         """Focus of the scene."""
         return self.source.focus
 
+
+@dataclass(frozen=True)
+class LoopedSource(_Wrapped):
+    """A scene that repeats."""
+
+    length: int
+
     def __len__(self) -> int:
         return self.length
 
@@ -91,6 +106,56 @@ class LoopedSource:
         return self.source.ids(index % len(self.source))
 
 
+@dataclass(frozen=True)
+class IdentifiedSource(_Wrapped):
+    """A scene with identities that were found for it (:func:`identified`)."""
+
+    found: tuple[Ids, ...]
+    """Identities [n] by frame."""
+
+    def __len__(self) -> int:
+        return len(self.found)
+
+    def frame(self, index: int) -> Splats:
+        """Frame ``index``."""
+        return self.source.frame(index)
+
+    def ids(self, index: int) -> Ids | None:
+        """Identities of the frame's splats."""
+        return self.found[index]
+
+
 def looped(source: FrameSource, frames: int | None) -> FrameSource:
     """``source``, or a loop of it with ``frames`` frames."""
     return source if frames is None or frames <= len(source) else LoopedSource(source, frames)
+
+
+def identified(scene: str, frames: int | None, folder: Path) -> FrameSource:
+    """``scene`` for ``frames`` frames with the identities of its splats, which are kept in ``folder``.
+
+    Where a source knows no identities, the encoder links splats from frame to frame. That depends on the source alone,
+    and takes most of an encoding's time where everything changes, so several encodings share it. A scene that knows its
+    identities, and a single frame, come as they are.
+    """
+    import io
+
+    import numpy as np
+
+    from cags_common.files import write_whole
+    from cags_encoder import EncodeSettings, content_key
+    from cags_encoder.scenes import open_scene
+    from cags_encoder.tracks.identity import IdentityTracker
+
+    source = looped(open_scene(scene), frames)
+    if frames == 1 or source.ids(0) is not None:
+        return source
+    count = len(source) if frames is None else frames
+    path = folder / f"{content_key(scene, EncodeSettings(frames=frames))}.npz"
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        tracker, file = IdentityTracker(), io.BytesIO()
+        found = [tracker.identify(source.frame(at), None, f"{scene}, frame {at}")[0] for at in range(count)]
+        np.savez(file, *found)
+        write_whole(path, file.getvalue())
+    with np.load(path) as kept:
+        return IdentifiedSource(source, tuple(kept[f"arr_{at}"] for at in range(count)))

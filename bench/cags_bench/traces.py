@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cags_bench.bundles import default_cache
 from cags_common.bundle import BundleReader
-from cags_shaper.trace import open_trace
+from cags_shaper.trace import Trace, open_trace
 
 RATE_STEP_US = 100_000
 
@@ -16,11 +16,12 @@ PAPER_SPLATS = 170_000
 """Splats of the paper's first frames: 2.0 MB with 66 bits and about 28 bits of position each."""
 
 
-def scaled_trace(spec: str, share: float, seconds: float) -> Path:
-    """A copy of a trace with its rates times ``share``, as a CSV file in the cache."""
-    trace = open_trace(spec)
+def scaled_trace(spec: str, share: float, seconds: float, start_s: float = 0.0) -> Path:
+    """``seconds`` of a trace from ``start_s`` on, with its rates times ``share``, as a CSV file in the cache."""
+    trace, first = open_trace(spec), round(start_s * 1e6)
     steps = math.ceil(seconds * 1e6 / RATE_STEP_US)
-    rates = [trace.mean_bps(i * RATE_STEP_US, (i + 1) * RATE_STEP_US) / 1e6 * share for i in range(steps)]
+    times = [first + i * RATE_STEP_US for i in range(steps)]
+    rates = [trace.mean_bps(at, at + RATE_STEP_US) / 1e6 * share for at in times]
     rows = ["time_s,mbps"] + [f"{i * RATE_STEP_US / 1e6:.3f},{rate:.4f}" for i, rate in enumerate(rates)]
     text = "\n".join(rows) + "\n"
     folder = default_cache().with_name("traces")
@@ -29,6 +30,23 @@ def scaled_trace(spec: str, share: float, seconds: float) -> Path:
     if not path.exists():
         path.write_text(text, encoding="utf-8")
     return path
+
+
+def steepest_fall_s(spec: str, seconds: float) -> float:
+    """Where ``seconds`` of a trace begin whose first half has the most rate against the second, by their ratio.
+
+    A clip is seconds long and traces are minutes: their first seconds are often steady, and test nothing.
+    """
+    trace = open_trace(spec)
+    half_us = round(seconds * 5e5)
+    starts = range(0, max(trace.duration_us - 2 * half_us, 0) + 1, RATE_STEP_US)
+    return max(starts, key=lambda at: _fall(trace, at, half_us)) / 1e6
+
+
+def _fall(trace: Trace, start_us: int, half_us: int) -> float:
+    """Mean rate over ``half_us`` divided by that over the next."""
+    before, after = (trace.mean_bps(at, at + half_us) for at in (start_us, start_us + half_us))
+    return before / max(after, 1e3)
 
 
 def splats_of(bundle: Path) -> int:

@@ -17,7 +17,6 @@ EXAMPLES = """\
   cags-bench predict --poses poses/ --bundle room.cags --bundle clip.cags    # and end to end
 """
 
-LEAD_US = 200_000
 AREAS = (1.2, 1.3, 1.4, 1.5, 1.6, 1.75)
 
 
@@ -101,6 +100,7 @@ def _precision(args: argparse.Namespace, walks: Sequence[Walk]) -> Iterator[dict
 
 def _coverage(args: argparse.Namespace, walks: Sequence[Walk]) -> Iterator[dict[str, Any]]:
     from cags_bench.predict.coverage import fast_against_exact, measure
+    from cags_bench.predict.table import LEAD_US
     from cags_server.fov import FOV_POLICIES, create_fov_policy
     from cags_server.predict import create_predictor
 
@@ -116,27 +116,10 @@ def _coverage(args: argparse.Namespace, walks: Sequence[Walk]) -> Iterator[dict[
 
 def _table(walks: Sequence[Walk]) -> Iterator[dict[str, Any]]:
     """The supplement's accuracy table, one row per scene."""
-    from cags_bench.predict.coverage import measure as measure_coverage
-    from cags_bench.predict.precision import measure
-    from cags_server.fov import create_fov_policy
-    from cags_server.predict import create_predictor
-    from cags_server.settings import ServerSettings
+    from cags_bench.predict.table import table
 
-    defaults = ServerSettings()
-    for scene in sorted({walk.name.rsplit("_user", 1)[0] for walk in walks}):
-        scene_walks = [walk for walk in walks if walk.name.startswith(scene)]
-        predictor = create_predictor(defaults.predictor)
-        (_, _, errors), *_ = measure(scene_walks, {"default": predictor}, [LEAD_US], 1_000_000)
-        policy = {"default": lambda: create_fov_policy(defaults.fov)}
-        curve = measure_coverage(scene_walks, predictor, policy, LEAD_US, 8.0)["default"].figures(AREAS)
-        yield {
-            "case": "table",
-            "dataset": scene,
-            "position_mae_m": float(errors.distances_m.mean()),
-            "angular_mae_deg": float(errors.angles_deg.mean()),
-            "fov_coverage_pct": curve["coverage_pct"],
-            "fov_area": curve["area"],
-        }
+    for row in table(walks):
+        yield {"case": "table", **row.figures()}
 
 
 def checks(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -1,13 +1,13 @@
-"""One method on one scene over one link: the unit of work that is computed once and kept."""
+"""Units of work that are computed once and kept: a method on a scene over a link, and what computes them."""
 
 from __future__ import annotations
 
 import functools
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-from cags_bench.bundles import cached_bundle, default_cache, looped
+from cags_bench.bundles import cached_bundle, default_cache, identified, looped
 from cags_bench.film.film import FilmMaker
 from cags_bench.film.metrics import measure
 from cags_bench.jsonl import JsonObject
@@ -16,7 +16,7 @@ from cags_bench.reproduce.cache import ResultCache, code_digest, content_of
 from cags_bench.reproduce.methods import METHODS
 from cags_bench.reproduce.pictures import Snapshot
 from cags_bench.sim.session import Scenario, simulate, watched_by
-from cags_bench.traces import PAPER_SPLATS, link_share, paper_link, scaled_trace
+from cags_bench.traces import PAPER_SPLATS, link_share, paper_link, scaled_trace, steepest_fall_s
 from cags_client.settings import ClientSettings
 from cags_common.bundle import BundleReader
 from cags_encoder import EncodeSettings, content_key
@@ -25,6 +25,9 @@ from cags_server.settings import ServerSettings
 
 WORDS = ("title", "note")
 """Parts of a method that are words: no result depends on them."""
+
+START_S = 1.0
+"""About how long the link is used before the first frame is displayed."""
 
 SERIES = (
     "frame",
@@ -40,6 +43,44 @@ SERIES = (
 
 
 @dataclass(frozen=True)
+class Encoding:
+    """A bundle that a unit of work needs."""
+
+    scene: str
+    settings: EncodeSettings
+
+    @property
+    def clip(self) -> Clip:
+        """What is encoded."""
+        return self.scene, self.settings.frames
+
+
+Clip = tuple[str, int | None]
+"""A scene and its number of frames."""
+
+
+class Work(Protocol):
+    """A unit of work. It is hashable, and travels to other processes."""
+
+    @property
+    def encodings(self) -> tuple[Encoding, ...]:
+        """Bundles that must be there before :meth:`compute` runs in several processes."""
+        ...
+
+    def key(self, device: str) -> JsonObject:
+        """What the result depends on, files by their content."""
+        ...
+
+    def compute(self, runner: Runner) -> JsonObject:
+        """The result."""
+        ...
+
+    def __str__(self) -> str:
+        """The unit in words, for progress."""
+        ...
+
+
+@dataclass(frozen=True)
 class StreamCase:
     """Everything that decides one streamed result. ``mbps`` is the paper's; the link gets the same bits a splat."""
 
@@ -52,102 +93,128 @@ class StreamCase:
     trace: str
     mbps: float | None = None
     """A steady rate; None: the rates of ``trace``."""
+    unscaled: bool = False
+    """Whether the rates of ``trace`` stand as recorded."""
     lpips: str = ""
     """Weights file of LPIPS; empty: not measured."""
     video: tuple[str, ...] = ()
     """Metrics of the whole film that are measured."""
 
     @property
-    def encoding(self) -> EncodeSettings:
-        """How the method wants the scene encoded."""
-        return replace(EncodeSettings(frames=self.frames), **METHODS[self.method].encode)
+    def encoding(self) -> Encoding:
+        """The scene, encoded as the method wants it."""
+        return Encoding(self.scene, replace(EncodeSettings(frames=self.frames), **METHODS[self.method].encode))
+
+    @property
+    def encodings(self) -> tuple[Encoding, ...]:
+        """See :class:`Work`."""
+        return (self.encoding,)
+
+    def __str__(self) -> str:
+        link = "" if self.mbps is None else f", {self.mbps:g} Mbps"
+        return f"{self.scene}, {self.method}{link}" + (", unscaled" if self.unscaled else "")
 
     def key(self, device: str) -> JsonObject:
         """What the result depends on, files by their content."""
         return {
             "case": asdict(self)
-            | {"scene": _content_key(self.scene, self.encoding)}
+            | {"scene": scene_key(self.encoding)}
             | {name: content_of(getattr(self, name)) for name in ("poses", "trace", "lpips")},
             "method": {name: value for name, value in asdict(METHODS[self.method]).items() if name not in WORDS},
             "added": added.digest(self.method),
             "device": device,
         }
 
+    def compute(self, runner: Runner) -> JsonObject:
+        """Summary, per-frame series, a picture, and what both sides spent (the only part that differs between runs)."""
+        method = METHODS[self.method]
+        bundle = runner.bundle(self.encoding)
+        with BundleReader.open(str(bundle)) as reader:
+            fps, top_lod = reader.manifest.fps, reader.manifest.lods - 1
+        server = ServerSettings(rasteriser=runner.device, render_threads=runner.threads)
+        client = ClientSettings(width=self.width, height=self.height, raster=runner.device, threads=runner.threads)
+        scenario = Scenario(
+            bundle,
+            self.link(bundle),
+            self.poses,
+            server=replace(server, **method.server),
+            client=replace(client, **method.client),
+            estimator="oracle",
+            lpips=self.lpips,
+        )
+        truth = scenario.truth()
+        snapshot = Snapshot(truth, frame=2 * self.frames // 3)
+        with FilmMaker(truth, fps) as maker:
+            watchers = [snapshot.watch, *([maker.watch] if self.video else [])]
+            result = simulate(scenario, watched_by(watchers), truth)
+            scores = measure(maker.film(self.frames), self.video) if self.video else {}
+        frames = [{key: line.get(key) for key in SERIES} for line in result.frames]
+        summary = result.summary | scores | {"top_lod": top_lod}
+        summary["goodput_mbps"] /= self._faster
+        spent = {"server_ms": result.spent.server_ms_a_frame, "client_ms": result.spent.client_ms_a_frame}
+        return {"summary": summary, "frames": frames, "pictures": snapshot.pictures, "spent": spent}
+
+    def link(self, bundle: Path) -> str:
+        """The trace, scaled so that the scene gets the bits a splat and second that the paper's scenes get.
+
+        Of a recorded trace the clip gets the part whose middle is the steepest fall.
+        """
+        if self.mbps is not None:
+            return paper_link(bundle, self.mbps * self._faster)
+        share = self._faster * (1.0 if self.unscaled else link_share(bundle, PAPER_SPLATS))
+        seconds = self.frames / 30 + START_S
+        return str(scaled_trace(self.trace, share, seconds + 30, steepest_fall_s(self.trace, seconds)))
+
+    @property
+    def _faster(self) -> float:
+        """How many times the link is faster than for other methods."""
+        return _saving(self.scene, self.frames) if METHODS[self.method].predicted else 1.0
+
 
 @functools.cache
-def _content_key(scene: str, settings: EncodeSettings) -> str:
-    return content_key(scene, settings)
+def scene_key(encoding: Encoding) -> str:
+    """What a key says of an encoded scene."""
+    return content_key(encoding.scene, encoding.settings)
 
 
 @dataclass
 class Runner:
-    """Runs cases, remembering results and bundles."""
+    """Runs units of work, remembering results and bundles."""
 
     results: ResultCache
     bundles: str = ""
     """Folder of encoded bundles; empty: a folder of this very code's in the user's cache."""
     device: str = "auto"
     threads: int = 2
-    """Threads of one case; results do not depend on it."""
+    """Threads of one unit; results do not depend on it."""
     progress: bool = True
     """Whether encoding shows a bar."""
 
-    def done(self, case: StreamCase) -> bool:
-        """Whether the result of ``case`` is there."""
-        return self.results.holds(case.key(self.device))
+    def done(self, work: Work) -> bool:
+        """Whether the result of ``work`` is there."""
+        return self.results.holds(work.key(self.device))
 
-    def cpu_s(self, case: StreamCase) -> float:
-        """Processor seconds that the kept result of ``case`` took."""
-        return self.results.cpu_s(case.key(self.device))
+    def cpu_s(self, work: Work) -> float:
+        """Processor seconds that the kept result of ``work`` took."""
+        return self.results.cpu_s(work.key(self.device))
 
-    def run(self, case: StreamCase) -> JsonObject:
-        """Summary, per-frame series and a picture of one case."""
-        return self.results.get(case.key(self.device), lambda: self.compute(case))
+    def run(self, work: Work) -> JsonObject:
+        """The result of ``work``."""
+        return self.results.get(work.key(self.device), lambda: work.compute(self))
 
-    def bundle(self, case: StreamCase) -> Path:
-        """The scene, encoded as the method wants it."""
-        folder = self.bundles or str(default_cache() / f"code-{code_digest()}")
-        return cached_bundle(case.scene, folder, case.encoding, progress=self.progress)
+    def bundle(self, encoding: Encoding) -> Path:
+        """The encoded scene."""
+        scene, settings = encoding.scene, encoding.settings
+        source = functools.partial(identified, scene, settings.frames, self._folder / "identities")
+        return cached_bundle(scene, str(self._folder), settings, progress=self.progress, source=source)
 
-    def compute(self, case: StreamCase) -> JsonObject:
-        """:meth:`run` without looking for an earlier result."""
-        method = METHODS[case.method]
-        bundle = self.bundle(case)
-        with BundleReader.open(str(bundle)) as reader:
-            fps, top_lod = reader.manifest.fps, reader.manifest.lods - 1
-        server = ServerSettings(rasteriser=self.device, render_threads=self.threads)
-        client = ClientSettings(width=case.width, height=case.height, raster=self.device, threads=self.threads)
-        scenario = Scenario(
-            bundle,
-            self.link(case, bundle),
-            case.poses,
-            server=replace(server, **method.server),
-            client=replace(client, **method.client),
-            estimator="oracle",
-            lpips=case.lpips,
-        )
-        truth = scenario.truth()
-        snapshot = Snapshot(truth, frame=2 * case.frames // 3)
-        with FilmMaker(truth, fps) as maker:
-            watchers = [snapshot.watch, *([maker.watch] if case.video else [])]
-            result = simulate(scenario, watched_by(watchers), truth)
-            scores = measure(maker.film(case.frames), case.video) if case.video else {}
-        frames = [{key: line.get(key) for key in SERIES} for line in result.frames]
-        summary = result.summary | scores | {"top_lod": top_lod}
-        summary["goodput_mbps"] /= self._faster(case)
-        return {"summary": summary, "frames": frames, "pictures": snapshot.pictures}
+    def link(self, clip: Clip) -> None:
+        """Find the identities of a clip's splats, for all of its encodings."""
+        identified(*clip, self._folder / "identities")
 
-    def link(self, case: StreamCase, bundle: Path) -> str:
-        """The trace, scaled so that the scene gets the bits a splat and second that the paper's scenes get."""
-        faster = self._faster(case)
-        if case.mbps is not None:
-            return paper_link(bundle, case.mbps * faster)
-        share = link_share(bundle, PAPER_SPLATS) * faster
-        return str(scaled_trace(case.trace, share, seconds=case.frames / 30 + 30))
-
-    def _faster(self, case: StreamCase) -> float:
-        """How many times the link is faster than for other methods."""
-        return _saving(case.scene, case.frames) if METHODS[case.method].predicted else 1.0
+    @property
+    def _folder(self) -> Path:
+        return Path(self.bundles) if self.bundles else default_cache() / f"code-{code_digest()}"
 
 
 @functools.cache

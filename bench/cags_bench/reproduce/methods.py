@@ -123,6 +123,22 @@ OURS_AND_RIVALS: dict[str, Method] = {
         "ours, with layers in the order that the paper prints and not in that which a scene's measurement gives",
         encode={"lod_order": "paper"},
     ),
+    "one-level": Method(
+        "one level a frame",
+        "ours, with all visible tiles at the same level, the highest that the link carries for all of them. A bundle "
+        "without levels cannot be made, so this is what choosing levels tile by tile brings, and not levels themselves",
+        server={"abr": "even"},
+    ),
+    "whole-splats": Method(
+        "without motion",
+        "ours, with splats that change sent whole, as in the paper",
+        encode={"motion": "none"},
+    ),
+    "all-effects": Method(
+        "all effects",
+        "ours, with every pass of the client's frame turned on, needed or not",
+        client={"effects": "always"},
+    ),
     "no-adaptive-fov": Method(
         "w/o adaptive FoV",
         "the reference's field of view is always 10 % wider",
@@ -154,8 +170,17 @@ BASELINES = (
     "reference-only",
     "reference-only-small",
 )
+RANGE = ("cags", "cags-paper", "lts-f", "v3-a", "reference-only")
+"""Compared over the trace as recorded."""
+GENERAL = ("cags", "sr-align-ref", "cr-no-ref", "pictures", "no-adaptive-fov")
+"""Compared on other representations: they share an encoding."""
+GENERAL_WHOLE = ("cags-paper", "no-prpa", "paper-no-adaptive-fov")
+"""Compared there too in a whole run: the paper's own columns, which need encodings of their own."""
 ABLATIONS = (
     "pictures",
+    "one-level",
+    "whole-splats",
+    "all-effects",
     "no-adaptive-fov",
     "printed-order",
     "no-prpa",

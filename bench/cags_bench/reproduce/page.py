@@ -9,6 +9,7 @@ from pathlib import Path
 
 from cags_bench import html
 from cags_bench.jsonl import dump, provenance
+from cags_bench.reproduce.marking import titles
 from cags_bench.reproduce.plan import Plan
 from cags_bench.reproduce.section import Plot, Section, Strip
 
@@ -42,9 +43,10 @@ def _lines_of(path: Path) -> list[str]:
 def write_page(out: Path, sections: Sequence[Section], plan: Plan) -> None:
     """Write ``index.html`` with all sections."""
     size = "quick" if plan.quick else "whole"
+    scenes = ", ".join(f"{name} ({spec})" for spec, name in titles(plan.scenes).items())
     intro = (
         f"<p>The paper's tables and figures, made again ({size} run): {plan.frames} frames at "
-        f"{plan.width}x{plan.height}; scenes {html.escape(', '.join(plan.scenes))}; head motion "
+        f"{plan.width}x{plan.height}; scenes {html.escape(scenes)}; head motion "
         f"{html.escape(plan.poses)}; network {html.escape(plan.trace)}. Quality comes from virtual time and is the "
         "same every time; speed is of the machine named above.</p>"
     )

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from cags_bench.jsonl import JsonObject
 from cags_bench.reproduce import added
-from cags_bench.reproduce.cases import Runner, StreamCase
-from cags_bench.reproduce.methods import ABLATIONS, BASELINES
-from cags_bench.reproduce.prepare import describe
+from cags_bench.reproduce.cases import Runner, StreamCase, Work
+from cags_bench.reproduce.methods import ABLATIONS, BASELINES, GENERAL, GENERAL_WHOLE, RANGE
 from cags_bench.reproduce.section import Section
 
 PAPER_RATES_MBPS = (30.0, 60.0, 90.0, 120.0, 150.0)
@@ -34,6 +33,8 @@ class Plan:
     """Methods that are compared; none: all."""
     over: tuple[float | None, ...] = ()
     """Links that methods are compared over; none: the rates of the size, and the trace."""
+    walks: str = ""
+    """Folder of recorded walks of people; empty: none."""
     kept: bool = False
     """Only sessions that earlier runs have finished."""
 
@@ -56,6 +57,16 @@ class Plan:
         return tuple(name for name in every if not self.chosen or name in (*self.chosen, "cags"))
 
     @property
+    def in_range(self) -> tuple[str, ...]:
+        """Methods over the trace as recorded."""
+        return tuple(name for name in RANGE if name in self.methods)
+
+    @property
+    def general(self) -> tuple[str, ...]:
+        """Methods on other representations."""
+        return GENERAL if self.quick else (*GENERAL, *GENERAL_WHOLE)
+
+    @property
     def ablations(self) -> tuple[str, ...]:
         """Ours and the published way, and each without one part."""
         return ("cags", "cags-paper", "cr-no-ref", *ABLATIONS)
@@ -73,16 +84,21 @@ class Context:
         """Whether the result of ``case`` may be asked for."""
         return not self.plan.kept or self.runner.done(case)
 
-    def result(self, case: StreamCase) -> JsonObject:
-        """The result of ``case``."""
-        if not self.runner.done(case):
-            self.tell(describe(case))
-        return self.runner.run(case)
+    def result(self, work: Work) -> JsonObject:
+        """The result of ``work``."""
+        if not self.runner.done(work):
+            self.tell(str(work))
+        return self.runner.run(work)
 
-    def case(self, scene: str, method: str, mbps: float | None = None) -> StreamCase:
-        """One streamed case of the plan."""
+    def case(self, scene: str, method: str, mbps: float | None = None, *, unscaled: bool = False) -> StreamCase:
+        """One streamed case of the plan. LPIPS and films are measured only where a table shows them; in a quick run
+        films, which take a quarter of a session's time, over the slowest link and the trace.
+        """
         p = self.plan
-        return StreamCase(scene, method, p.poses, p.frames, p.width, p.height, p.trace, mbps, p.lpips, p.video)
+        case = StreamCase(scene, method, p.poses, p.frames, p.width, p.height, p.trace, mbps, unscaled)
+        shown = scene in p.scenes and method in p.methods and mbps in p.links and not unscaled
+        filmed = shown and (not p.quick or mbps in (p.rates_mbps[0], None))
+        return replace(case, lpips=p.lpips if shown else "", video=p.video if filmed else ())
 
 
 @dataclass(frozen=True)
@@ -94,5 +110,5 @@ class Experiment:
     """``table`` or ``figure``."""
     title: str
     run: Callable[[Context], Section]
-    cases: Callable[[Context], Sequence[StreamCase]] = lambda _: ()
-    """The streamed cases that it will ask for: they are run ahead, side by side."""
+    cases: Callable[[Context], Sequence[Work]] = lambda _: ()
+    """The units of work that it will ask for: they are run ahead, side by side."""

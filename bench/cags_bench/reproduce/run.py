@@ -26,6 +26,12 @@ from cags_common.errors import ConfigError
 
 QUICK_LIMIT_MIN = 25.0
 
+SEGMENT = Path("../shared/network/5gophers/paper_segment_3249_3549.csv")
+"""The paper's segment of 5Gophers, where a checkout has it beside itself."""
+
+WALKS = Path("../shared/poses/eyenavgs_nthu")
+"""Recorded walks of people, likewise."""
+
 IN_PARTS = {"sessions", "rivals"}
 """Experiments that can be shown as far as sessions were played."""
 
@@ -92,12 +98,13 @@ def _plan(settings: ReproduceSettings) -> Plan:
     return Plan(
         scenes=tuple(_with_frames(scene, frames) for scene in settings.scenes.split()),
         poses=settings.poses,
-        trace=settings.trace,
+        trace=settings.trace or (str(SEGMENT) if SEGMENT.is_file() else "generated:5g-mmwave"),
         frames=frames,
         width=settings.width or width,
         height=settings.height or height,
         quick=settings.quick,
         lpips=settings.lpips,
+        walks=settings.walks or (str(WALKS) if WALKS.is_dir() else ""),
         video=_measurable(settings),
         chosen=_methods(settings.methods),
         over=_links(settings.links),

@@ -18,7 +18,12 @@ class ReproduceSettings:
     quick: bool = setting(False, "fewer frames, rates and levels: under 25 minutes on two cores")
     scenes: str = setting("procedural:size=30000", "scenes, separated by spaces")
     poses: str = setting("synthetic:walking", "head motion: a pose file or synthetic:NAME")
-    trace: str = setting("generated:5g-mmwave", "fluctuating network trace")
+    walks: str = setting(
+        "", "folder of recorded walks (SCENE_userNN.csv) for precision; empty: those beside the checkout, or none"
+    )
+    trace: str = setting(
+        "", "fluctuating network trace; empty: the 5Gophers segment beside the checkout, or generated:5g-mmwave"
+    )
     methods: str = setting("", "methods compared, separated by spaces, by name; empty: all. Ours is always there")
     links: str = setting("", "links compared over: the paper's Mbps and 'trace', by spaces; empty: the size's")
     kept: bool = setting(False, "tables sessions and rivals: compute no session, use those that earlier runs finished")

@@ -5,6 +5,7 @@ A table stands between ``<!-- made: NAME -->`` and ``<!-- end -->``; :data:`TABL
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 from collections.abc import Callable, Sequence
@@ -12,6 +13,8 @@ from pathlib import Path
 
 from cags_bench import html
 from cags_bench.jsonl import JsonObject
+from cags_bench.reproduce.experiments import EXPERIMENTS
+from cags_bench.reproduce.marking import titled
 from cags_bench.reproduce.methods import METHODS
 from cags_bench.reproduce.page import CLAIMS
 from cags_common.errors import ConfigError
@@ -40,9 +43,41 @@ def renewed(text: str, figures: Path) -> str:
     def made(match: re.Match[str]) -> str:
         if match[2] not in TABLES:
             raise ConfigError(f"made: {match[2]} is no table; known: {', '.join(TABLES)}")
-        return match[1] + "\n" + TABLES[match[2]](figures) + "\n" + match[3]
+        return match[1] + "\n" + titled(TABLES[match[2]](figures)) + "\n" + match[3]
 
     return _MARKED.sub(made, text)
+
+
+def summary(figures: Path) -> str:
+    """What is claimed in ten lines, each over all checks that it rests on: green, red, or not measured."""
+    lines = _lines(figures / CLAIMS)
+    rows = []
+    for words, experiment, pattern in HEADLINES:
+        own = [one for one in lines if one["experiment"] in experiment and re.search(pattern, one["name"])]
+        missing = [one["name"].partition(":")[0] for one in own if not one["ok"]]
+        state = "open" if not own else "red" if missing else "green"
+        found = f"{len(own) - len(missing)} of {len(own)} checks hold" if own else "not measured yet"
+        rows.append((state, words, found + (f"; not: {', '.join(missing)}" if missing else "")))
+    return _where(lines) + _table(("", "claim", "found"), rows)
+
+
+HEADLINES: tuple[tuple[str, tuple[str, ...], str], ...] = (
+    (
+        "ours is ahead of every baseline on every scene, over fixed and fluctuating links",
+        ("rivals", "range"),
+        "^ahead",
+    ),
+    ("by 5 dB over LTS-F and V3-A at 30 and 60 Mbps", ("rivals",), "^far ahead"),
+    ("as published is ahead of LTS-F at 30 Mbps", ("rivals",), "published.* ahead of"),
+    ("each part, the paper's and ours, brings something at 30 Mbps", ("ablations",), "brings something"),
+    ("leaving out effects that are not needed saves time and changes no picture", ("ablations",), "only the effects"),
+    ("ours is ahead on four kinds of motion, and no two methods show the same", ("generality",), ""),
+    ("correction by example is above super-resolution and colours alone", ("motivation",), ""),
+    ("SVQ is as good as SPZ and SOG, smaller, and decodes faster", ("svq",), ""),
+    ("references cover more of the view than the paper's, for people never trained on", ("precision",), ""),
+    ("a run gives the same bytes again, and a quick one takes under 25 minutes", ("determinism", "run"), ""),
+)
+"""A claim in words, and which checks it rests on: experiments, and a pattern of their names."""
 
 
 def claims(figures: Path) -> str:
@@ -81,9 +116,9 @@ def leads(figures: Path) -> str:
     return _where(lines) + _table(("scene", "link", *titles), rows)
 
 
-def _figure(value: float | None) -> str:
-    """A bound with one decimal. Bounds that are not finite, as for very short plays, are null in JSON."""
-    return "unknown" if value is None else f"{value:.1f}"
+def _figure(value: float | None, decimals: int = 1) -> str:
+    """A bound with ``decimals``. Bounds that are not finite, as for very short plays, are null in JSON."""
+    return "unknown" if value is None else f"{value:.{decimals}f}"
 
 
 def _where(lines: Sequence[JsonObject]) -> str:
@@ -123,8 +158,66 @@ def full(figures: Path) -> str:
     return _where(lines) + _table(head, rows)
 
 
+def effects(figures: Path) -> str:
+    """What each part brings at 30 Mbps, by scene, and what it costs over all of them."""
+    if not (figures / "ablations.jsonl").exists():
+        return _unmeasured("ablations")
+    lines = [line for line in _lines(figures / "ablations.jsonl") if line["link"] == "30 Mbps"]
+    scenes = list(dict.fromkeys(line["scene"] for line in lines))
+    rows = []
+    for part, of in dict.fromkeys((line["part"], line["of"]) for line in lines):
+        own = {line["scene"]: line for line in lines if (line["part"], line["of"]) == (part, of)}
+        gains = [
+            f"{one['brings [dB]']:+.2f} ({_figure(one['95 % from'], 2)} to {_figure(one['to'], 2)})"
+            for one in (own[scene] for scene in scenes)
+        ]
+        costs = [html.short(own[EVERY].get(name)) for name in COSTS]
+        rows.append((part, of, *gains, *costs))
+    head = ("effect", "of", *(f"{scene}, dB" for scene in scenes), *COSTS)
+    return _where(lines) + _table(head, rows)
+
+
+EVERY = "all scenes"
+COSTS = ("server [ms a frame]", "client [ms a frame]", "kB a frame")
+
+
+def measured(name: str) -> Callable[[Path], str]:
+    """Generator of a whole table as measured, or of how to measure it."""
+
+    def made(figures: Path) -> str:
+        path = figures / f"{name}.csv"
+        if not path.exists():
+            return _unmeasured(name)
+        with path.open(newline="", encoding="utf-8") as file:
+            head, *rows = csv.reader(file)
+        shown = [[_number(cell) for cell in row] for row in rows]
+        return _where(_lines(figures / f"{name}.jsonl")) + _table(head, shown)
+
+    return made
+
+
+def _unmeasured(name: str) -> str:
+    return f"Not measured yet: `cags-bench reproduce --{EXPERIMENTS[name].kind} {name}`.\n"
+
+
+def _number(cell: str) -> str:
+    """A cell of a CSV file, shortened if it is a number."""
+    try:
+        return html.short(float(cell)) if "." in cell else cell or "-"
+    except ValueError:
+        return cell
+
+
 BESIDE = ("cags-paper", "lts-f", "v3-a", "v3-a-predicted", "reference-only")
 """Baselines shown by :func:`leads`; the page of figures shows all."""
 
-TABLES: dict[str, Callable[[Path], str]] = {"claims": claims, "means": means, "leads": leads, "full": full}
+TABLES: dict[str, Callable[[Path], str]] = {
+    "summary": summary,
+    "claims": claims,
+    "means": means,
+    "leads": leads,
+    "effects": effects,
+    **{name: measured(name) for name in ("range", "generality", "svq", "motivation", "precision")},
+    "full": full,
+}
 """Generators of the tables, by name."""

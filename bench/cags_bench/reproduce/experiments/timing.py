@@ -56,7 +56,7 @@ def components(context: Context) -> Section:
     case = context.case(plan.scenes[0], "cags")
     context.tell(f"components, {case.scene}")
     rows: list[list[Cell]] = []
-    with BundleReader.open(str(context.runner.bundle(case))) as reader:
+    with BundleReader.open(str(context.runner.bundle(case.encoding))) as reader:
         view = view_of(reader, AlignBenchSettings(poses=plan.poses), (plan.width, plan.height))
         for name, work in {**_server_works(view), **_client_works(view, reader)}.items():
             times = _times_ms(work)

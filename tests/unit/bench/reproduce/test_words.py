@@ -6,9 +6,10 @@ from pathlib import Path
 import pytest
 
 from cags_bench.jsonl import check
-from cags_bench.reproduce.page import write_claims
+from cags_bench.reproduce.experiments import EXPERIMENTS
+from cags_bench.reproduce.page import write_claims, write_section
 from cags_bench.reproduce.section import Section
-from cags_bench.reproduce.words import TABLES, page_text, renew, renewed
+from cags_bench.reproduce.words import HEADLINES, TABLES, page_text, renew, renewed
 from cags_common.errors import ConfigError
 
 DOCS = Path(__file__).parents[4] / "docs"
@@ -84,6 +85,54 @@ def test_claims_of_one_table_replace_their_own_and_leave_the_others(tmp_path) ->
     }
     text = renewed("<!-- made: claims -->\n<!-- end -->", tmp_path)
     assert "| red | rivals is ahead | > 0 dB | -2 |" in text
+
+
+def claims_of(tmp_path: Path, *found: tuple[str, str, bool]) -> str:
+    write_claims(
+        tmp_path,
+        [Section(f"{kind}", "", "", checks=[check(name, "> 0", "+1", ok)]) for kind, name, ok in found],
+    )
+    return renewed("<!-- made: summary -->\n<!-- end -->", tmp_path)
+
+
+def test_the_summary_says_in_ten_lines_what_holds_what_does_not_and_what_is_not_known(tmp_path: Path) -> None:
+    text = claims_of(tmp_path, ("range", "ahead of LTS-F over", True), ("ablations", "PRPA: brings something", False))
+    rows = [line for line in text.splitlines() if line.startswith("| ")][2:]
+    assert len(rows) == len(HEADLINES) == 10
+    assert rows[0].startswith("| green | ours is ahead of every baseline") and "1 of 1 checks hold" in rows[0]
+    assert rows[3].startswith("| red | each part") and "0 of 1 checks hold; not: PRPA" in rows[3]
+    assert all("| open |" in row and "not measured yet" in row for row in rows[4:])
+
+
+def test_every_claim_of_the_summary_rests_on_checks_that_experiments_make() -> None:
+    known = {*EXPERIMENTS, "run"}
+    assert {name for _, names, _ in HEADLINES for name in names} <= known
+
+
+def test_an_effect_stands_with_what_it_brings_by_scene_and_what_it_costs(tmp_path: Path) -> None:
+    row = {"part": "PRPA", "of": "as published", "link": "30 Mbps", "brings [dB]": 1.234, "95 % from": 0.5, "to": None}
+    costs = {"server [ms a frame]": 2.5, "client [ms a frame]": -1.0, "kB a frame": 0.25}
+    other = {**row, "link": "60 Mbps", "brings [dB]": 9.0}
+    lines(
+        tmp_path / "ablations.jsonl",
+        *({**row, **costs, "scene": s} for s in ("head", "all scenes")),
+        other | {"scene": "head"},
+    )
+    text = renewed("<!-- made: effects -->\n<!-- end -->", tmp_path)
+    cell = "+1.23 (0.50 to unknown)"
+    assert f"| PRPA | as published | {cell} | {cell} | 2.5 | -1 | 0.25 |" in text
+    assert "9.0" not in text
+
+
+def test_a_table_stands_as_measured_or_says_how_to_measure_it(tmp_path: Path) -> None:
+    mark = "<!-- made: range -->\n<!-- end -->"
+    assert "Not measured yet: `cags-bench reproduce --figure range`" in renewed(mark, tmp_path)
+    write_section(
+        tmp_path, Section("range", "", "", ("scene", "dB", "frames"), [["../x/head.ply", 40.12345, 7], ["b", None, 8]])
+    )
+    text = renewed(mark, tmp_path)
+    assert "| head | 40.12 | 7 |" in text
+    assert "| b | - | 8 |" in text
 
 
 def test_a_page_that_cannot_be_read_is_named_with_the_way_out(tmp_path) -> None:
