@@ -214,8 +214,11 @@ class ReferenceCoder:
         octaves: float = 0.0,
         light: bool = False,
         camera: Camera | None = None,
+        appeared: bool = False,
     ) -> Coded:
-        """As :meth:`code`. If views have depth and ``camera`` is given, only the valid part of a difference is sent."""
+        """As :meth:`code`. If views have depth and ``camera`` is given, only the valid part of a difference is sent;
+        ``appeared`` as in :meth:`Lasting.share`.
+        """
         if not self.kinds:
             return Coded(NOTHING)
         if light is not self._light:
@@ -230,7 +233,7 @@ class ReferenceCoder:
             if self.kinds[0] is PICTURE and before < self._picture_left:
                 self._change_kind()  # the client's splats alone are better than what a picture would make of them
             if camera is not None and views.depth is not None:
-                self._share = self._lasting.share(views.lack, camera, views.depth)
+                self._share = self._lasting.share(views.lack, camera, views.depth, appeared=appeared)
         kind = self.kinds[0]
         coded = self._coded(kind, views, idr=idr or self._begin_anew)
         most = KEY_SHARE * self._target_bytes

@@ -9,6 +9,7 @@ import numpy as np
 
 from cags_common.correction import ComparingScene, DrawnViews, StagedViews
 from cags_common.geometry import F32, Camera, Intrinsics
+from cags_common.motion.apply import ABSENT_LOGIT
 from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderedView, RenderOptions
 from cags_protocol.wire.messages import ReferenceKind
 from cags_server.predict.base import PoseDistribution
@@ -24,6 +25,10 @@ NOTHING = Coded(ReferenceKind.NOTHING)
 
 MANY_NEW = 0.02
 """Share of a frame's splats that are new in it from which on it is drawn to see which of them are visible."""
+
+
+SHOWS = 1e-4
+"""Share of a reference's pixels from which on splats that the client lacks are seen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +110,14 @@ class FrameJob:
         plan = self.plan
         coded = NOTHING
         if views is not None:
-            coded = self.coder.code_views(views, idr=plan.idr, octaves=octaves, light=plan.light, camera=self.camera)
+            coded = self.coder.code_views(
+                views,
+                idr=plan.idr,
+                octaves=octaves,
+                light=plan.light,
+                camera=self.camera,
+                appeared=drawn is not None and self._appeared(drawn),
+            )
         return FrameRender(
             plan=plan,
             intrinsics=self.camera.intrinsics,
@@ -147,6 +159,18 @@ class FrameJob:
             return StagedViews(drawn.rgb, None)
         held = scene.render(self.camera, replace(options, contribution=False, depth=DepthKind.EXPECTED))
         return StagedViews(drawn.rgb, held.rgb, held.depth)
+
+    def _appeared(self, drawn: RenderedView | DrawnViews) -> bool:
+        """Whether scene and mirror differ in splats that show: some appeared or vanished, and the client's basis does
+        not have it yet.
+        """
+        held = self.mirror.splats if self.mirror is not None else None
+        if held is None or drawn.contribution is None or len(held) != len(drawn.contribution):
+            return False
+        absent = held.logit_opacities <= ABSENT_LOGIT
+        if drawn.contribution[absent].sum() > SHOWS * self.camera.width_px * self.camera.height_px:
+            return True
+        return bool(np.any(~absent & (self.library.owners(self.plan.frame) < 0)))
 
     def _contribution_ahead(self, contribution: F32, options: RenderOptions) -> F32:
         """[capacity] what splats contribute to the frame whose tiles are planned: as to this one, unless many are new

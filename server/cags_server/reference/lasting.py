@@ -8,7 +8,8 @@ degree further. Adding it there makes a good picture worse.
 Between two references the viewer turns about as far as a prediction is wrong. The previous difference therefore shows
 what will remain valid. It is warped to the new camera by the depth of the client's splats; the share of each block is
 the factor by which the new difference predicts the warped one best (least squares). Where the difference is large,
-splats have just arrived or moved, and all of it is sent.
+splats have just arrived or moved, and all of it is sent. Splats that the client lacks, because they appear in the very
+frame, are small in the whole picture: there it is the blocks that are compared.
 """
 
 from __future__ import annotations
@@ -50,12 +51,17 @@ class Lasting:
 
     def __init__(self) -> None:
         self._before: tuple[F32, Camera, float] | None = None  # difference, its camera and its mean square
+        self._appeared = False
 
-    def share(self, lack: F32, camera: Camera, depth: F32) -> F32 | None:
+    def share(self, lack: F32, camera: Camera, depth: F32, *, appeared: bool = False) -> F32 | None:
         """The share [h, w] of ``lack`` [h, w, 3], rendered from ``camera``, to send; None for all of it.
 
-        ``depth`` [h, w] is the camera-space z of the client's splats, +inf where there are none.
+        ``depth`` [h, w] is the camera-space z of the client's splats, +inf where there are none. ``appeared``: the
+        scene shows splats that the client does not have, or the other way round; blocks whose difference is
+        :data:`NEWS` times that of before, or less than a part of it, are then sent whole. Without such splats the same
+        ratio comes from the blending order.
         """
+        appeared, self._appeared = appeared or self._appeared, appeared
         power = cv2.norm(lack, cv2.NORM_L2SQR) / max(3 * int(np.count_nonzero(np.isfinite(depth))), 1)
         before, self._before = self._before, (lack, camera, power)
         if before is None:
@@ -71,6 +77,9 @@ class Lasting:
         together, alone = (by_block(now, other, BLOCK_PX // STEP_PX) for other in (earlier, now))
         whole = together.sum() / max(alone.sum(), DOUBT)
         share = np.clip((together + DOUBT * whole) / (alone + DOUBT) / WHOLE, 0, 1)
+        if appeared:
+            past = by_block(earlier, earlier, BLOCK_PX // STEP_PX) + DOUBT
+            share[(alone > NEWS * past) | (past > NEWS * (alone + DOUBT))] = 1
         share = (1 - counts * (1 - share)).astype(np.float32)
         return np.asarray(cv2.resize(share, (lack.shape[1], lack.shape[0]), interpolation=cv2.INTER_LINEAR))
 

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from cags_common.geometry import Camera
+from cags_common.motion.apply import ABSENT_LOGIT
+from cags_common.splats import Splats
 from cags_protocol.wire.messages import ReferenceKind
+from cags_server.reference.coder import ReferenceCoder
 from cags_server.reference.job import FrameJob
+from cags_server.scene.library import SceneLibrary
 from cags_server.scene.source_scenes import SourceScenes
 from support.server_scene import FakeScene
 from support.streamer_rig import Rig
@@ -63,3 +68,72 @@ def test_a_look_draws_a_quarter_of_the_pixels_of_the_frame_whose_tiles_are_plann
     whole = job.camera.intrinsics
     assert drawn == [(whole.width_px // 2, whole.height_px // 2)]
     assert frames == [job.plan.ahead.frame]
+
+
+@dataclass
+class Held:
+    """A mirror that holds all of a frame's splats, as changed by ``change``."""
+
+    job: FrameJob
+    change: Callable[[Splats, np.ndarray[Any, Any]], None]
+
+    def scene_at(self, frame: int, basis: int) -> Any:
+        with self.job.library.scenes.at(frame) as scene:
+            return scene
+
+    @property
+    def splats(self) -> Splats:
+        alive = self.job.library.owners(self.job.plan.frame) >= 0
+        logits = np.where(alive, np.float32(2), ABSENT_LOGIT).astype(np.float32)
+        shapes = {"means": 3, "quats": 4, "log_scales": 3, "sh0": 3}
+        parts = {name: np.zeros((len(alive), width), np.float32) for name, width in shapes.items()}
+        splats = Splats(**parts, logit_opacities=logits, sh_rest=np.zeros((len(alive), 0, 3), np.float32))
+        self.change(splats, alive)
+        return splats
+
+
+def nothing(splats: Splats, alive: np.ndarray[Any, Any]) -> None:
+    del splats, alive
+
+
+def lacks_all(splats: Splats, alive: np.ndarray[Any, Any]) -> None:
+    splats.logit_opacities[alive] = ABSENT_LOGIT
+
+
+def told(
+    job: FrameJob, change: Callable[[Splats, np.ndarray[Any, Any]], None], monkeypatch: pytest.MonkeyPatch
+) -> bool:
+    """What the coder hears when the job runs with such a mirror."""
+    heard: list[bool] = []
+    code = ReferenceCoder.code_views
+
+    def noted(coder: ReferenceCoder, *views: Any, appeared: bool, **options: Any) -> Any:
+        heard.append(appeared)
+        return code(coder, *views, appeared=appeared, **options)
+
+    monkeypatch.setattr(ReferenceCoder, "code_views", noted)
+    mirror: Any = Held(job, change)
+    replace(job, mirror=mirror).run()
+    (only,) = heard
+    return only
+
+
+@pytest.mark.parametrize(("change", "expected"), [(nothing, False), (lacks_all, True)])
+def test_the_coder_hears_of_splats_that_the_client_lacks(
+    change: Callable[[Splats, np.ndarray[Any, Any]], None], expected: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert told(planned(), change, monkeypatch) is expected
+
+
+def test_the_coder_hears_of_splats_that_are_gone_and_still_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    job = planned()
+    owners = SceneLibrary.owners
+
+    def without_the_first(library: SceneLibrary, frame: int) -> Any:
+        return np.where(np.arange(len(found := owners(library, frame))) == 0, -1, found)
+
+    def holds_all(splats: Splats, alive: np.ndarray[Any, Any]) -> None:
+        splats.logit_opacities[~alive] = 2
+
+    monkeypatch.setattr(SceneLibrary, "owners", without_the_first)
+    assert told(job, holds_all, monkeypatch)

@@ -48,6 +48,40 @@ def test_a_blob_that_was_not_lacking_before_is_left_out() -> None:
     assert np.median(share) > 0.95
 
 
+def with_blob() -> F32:
+    """The texture, and a splat of 28 dB in its place."""
+    blob = np.zeros((120, 160, 3), np.float32)
+    cv2.circle(blob, (100, 40), 6, (0.04, 0.04, 0.04), -1)
+    return np.asarray(texture() + blob)
+
+
+def test_a_splat_that_appears_is_sent_whole_and_so_is_what_is_left_there_a_frame_later() -> None:
+    lasting = Lasting()
+    assert lasting.share(texture(), camera(), DEPTH) is None
+    now = lasting.share(with_blob(), camera(), DEPTH, appeared=True)
+    then = lasting.share(texture(), camera(), DEPTH)
+    assert now is not None
+    assert then is not None
+    for share in (now, then):
+        assert share[40, 100] > 0.99
+    later = lasting.share(with_blob(), camera(), DEPTH)
+    assert later is not None
+    assert later[40, 100] < 0.15, "nothing appeared: the order of blending"
+
+
+def test_where_nothing_is_new_a_splat_that_appears_elsewhere_changes_nothing() -> None:
+    unlike = with_blob()
+    unlike[60:] = texture(2)[60:]
+    lasting, other = Lasting(), Lasting()
+    for one in (lasting, other):
+        one.share(texture(), camera(), DEPTH)
+    appeared, plain = lasting.share(unlike, camera(), DEPTH, appeared=True), other.share(unlike, camera(), DEPTH)
+    assert appeared is not None
+    assert plain is not None
+    np.testing.assert_array_equal(appeared[70:], plain[70:])
+    assert appeared[70:].mean() < 0.4
+
+
 def test_what_is_unlike_what_was_lacking_before_is_hardly_sent() -> None:
     share = shared(texture(1), texture(2))
     assert share is not None
