@@ -29,7 +29,7 @@ from cags_common.video.colour import Chroma, rgb_of_ycbcr, ycbcr_of_rgb
 from cags_common.video.h264 import H264Decoder, H264Encoder, is_idr
 from cags_protocol.wire.messages import ANY_REFERENCE, HALF_CHROMA, NO_REFERENCES, Hello, ReferenceKind
 from cags_server.reference.detail import by_block, detail_left
-from cags_server.reference.lasting import Lasting
+from cags_server.reference.lasting import Blocks, Lasting
 from cags_server.reference.lateness import Lateness
 from cags_server.settings import ServerSettings
 
@@ -214,7 +214,7 @@ class ReferenceCoder:
         octaves: float = 0.0,
         light: bool = False,
         camera: Camera | None = None,
-        appeared: bool = False,
+        appeared: Blocks | None = None,
     ) -> Coded:
         """As :meth:`code`. If views have depth and ``camera`` is given, only the valid part of a difference is sent;
         ``appeared`` as in :meth:`Lasting.share`.
@@ -233,7 +233,7 @@ class ReferenceCoder:
             if self.kinds[0] is PICTURE and before < self._picture_left:
                 self._change_kind()  # the client's splats alone are better than what a picture would make of them
             if camera is not None and views.depth is not None:
-                self._share = self._lasting.share(views.lack, camera, views.depth, appeared=appeared)
+                self._share = self._lasting.share(views.lack, camera, views.depth, appeared)
         kind = self.kinds[0]
         coded = self._coded(kind, views, idr=idr or self._begin_anew)
         most = KEY_SHARE * self._target_bytes

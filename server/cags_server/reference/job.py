@@ -16,6 +16,7 @@ from cags_server.predict.base import PoseDistribution
 from cags_server.records import Ahead
 from cags_server.reference.coder import Coded, ReferenceCoder
 from cags_server.reference.detail import octaves_finer
+from cags_server.reference.lasting import Blocks, blocks_of
 from cags_server.reference.mirror import Mirror
 from cags_server.scene.library import SceneLibrary
 from cags_server.scene.visible_tiles import VisibleTile
@@ -116,7 +117,7 @@ class FrameJob:
                 octaves=octaves,
                 light=plan.light,
                 camera=self.camera,
-                appeared=drawn is not None and self._appeared(drawn),
+                appeared=None if drawn is None else self._appeared(drawn),
             )
         return FrameRender(
             plan=plan,
@@ -160,17 +161,16 @@ class FrameJob:
         held = scene.render(self.camera, replace(options, contribution=False, depth=DepthKind.EXPECTED))
         return StagedViews(drawn.rgb, held.rgb, held.depth)
 
-    def _appeared(self, drawn: RenderedView | DrawnViews) -> bool:
-        """Whether scene and mirror differ in splats that show: some appeared or vanished, and the client's basis does
-        not have it yet.
-        """
+    def _appeared(self, drawn: RenderedView | DrawnViews) -> Blocks | None:
+        """Where splats are seen that have just appeared, and that the client's basis does not have yet."""
         held = self.mirror.splats if self.mirror is not None else None
-        if held is None or drawn.contribution is None or len(held) != len(drawn.contribution):
-            return False
-        absent = held.logit_opacities <= ABSENT_LOGIT
-        if drawn.contribution[absent].sum() > SHOWS * self.camera.width_px * self.camera.height_px:
-            return True
-        return bool(np.any(~absent & (self.library.owners(self.plan.frame) < 0)))
+        contribution = drawn.contribution
+        if held is None or contribution is None or len(held) != len(contribution):
+            return None
+        lacking = (held.logit_opacities <= ABSENT_LOGIT) & (contribution > 0)
+        if contribution[lacking].sum() <= SHOWS * self.camera.width_px * self.camera.height_px:
+            return None
+        return blocks_of(self.library.scenes.changed(self.plan.frame, lacking), self.camera)
 
     def _contribution_ahead(self, contribution: F32, options: RenderOptions) -> F32:
         """[capacity] what splats contribute to the frame whose tiles are planned: as to this one, unless many are new

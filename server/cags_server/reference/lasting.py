@@ -8,17 +8,19 @@ degree further. Adding it there makes a good picture worse.
 Between two references the viewer turns about as far as a prediction is wrong. The previous difference therefore shows
 what will remain valid. It is warped to the new camera by the depth of the client's splats; the share of each block is
 the factor by which the new difference predicts the warped one best (least squares). Where the difference is large,
-splats have just arrived or moved, and all of it is sent. Splats that the client lacks, because they appear in the very
-frame, are small in the whole picture: there it is the blocks that are compared.
+splats have just arrived or moved, and all of it is sent. Splats that appear in the very frame are on their way to the
+client, and hardly change the difference of the whole picture: the blocks that they lie in are sent whole.
 """
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from cags_common.correction import Placement
 from cags_common.geometry import F32, Camera
+from cags_common.splats import Splats
 from cags_server.reference.detail import BLOCK_PX, by_block
 
 STEP_PX = 2
@@ -42,6 +44,12 @@ WHOLE = 0.5
 warping blurs them by a sixth, and moving splats are warped to wrong places.
 """
 
+REACH = 3.0
+"""Radius within which a splat is seen, in standard deviations."""
+
+Blocks = NDArray[np.bool_]
+"""[rows, columns] of blocks of :data:`~cags_server.reference.detail.BLOCK_PX` pixels a side."""
+
 FARTHEST, NEAREST = 1e4, 1e-3
 """Depths assigned to holes and to points next to the camera, world units."""
 
@@ -51,17 +59,16 @@ class Lasting:
 
     def __init__(self) -> None:
         self._before: tuple[F32, Camera, float] | None = None  # difference, its camera and its mean square
-        self._appeared = False
+        self._appeared: Blocks | None = None
 
-    def share(self, lack: F32, camera: Camera, depth: F32, *, appeared: bool = False) -> F32 | None:
+    def share(self, lack: F32, camera: Camera, depth: F32, appeared: Blocks | None = None) -> F32 | None:
         """The share [h, w] of ``lack`` [h, w, 3], rendered from ``camera``, to send; None for all of it.
 
-        ``depth`` [h, w] is the camera-space z of the client's splats, +inf where there are none. ``appeared``: the
-        scene shows splats that the client does not have, or the other way round; blocks whose difference is
-        :data:`NEWS` times that of before, or less than a part of it, are then sent whole. Without such splats the same
-        ratio comes from the blending order.
+        ``depth`` [h, w] is the camera-space z of the client's splats, +inf where there are none. ``appeared``: blocks
+        with splats that have just appeared, and that the client lacks. Neither this difference nor the next can be
+        compared with the one before there, so all of it is sent.
         """
-        appeared, self._appeared = appeared or self._appeared, appeared
+        appeared_before, self._appeared = self._appeared, appeared
         power = cv2.norm(lack, cv2.NORM_L2SQR) / max(3 * int(np.count_nonzero(np.isfinite(depth))), 1)
         before, self._before = self._before, (lack, camera, power)
         if before is None:
@@ -77,11 +84,34 @@ class Lasting:
         together, alone = (by_block(now, other, BLOCK_PX // STEP_PX) for other in (earlier, now))
         whole = together.sum() / max(alone.sum(), DOUBT)
         share = np.clip((together + DOUBT * whole) / (alone + DOUBT) / WHOLE, 0, 1)
-        if appeared:
-            past = by_block(earlier, earlier, BLOCK_PX // STEP_PX) + DOUBT
-            share[(alone > NEWS * past) | (past > NEWS * (alone + DOUBT))] = 1
+        for blocks in (appeared, appeared_before):
+            if blocks is not None:
+                share[blocks] = 1
         share = (1 - counts * (1 - share)).astype(np.float32)
         return np.asarray(cv2.resize(share, (lack.shape[1], lack.shape[0]), interpolation=cv2.INTER_LINEAR))
+
+
+def blocks_of(splats: Splats, camera: Camera) -> Blocks:
+    """The blocks of a picture from ``camera`` that ``splats`` may be seen in."""
+    intrinsics = camera.intrinsics
+    rotation, shift = camera.world_to_camera
+    x, y, z = rotation @ splats.means.astype(np.float64).T + shift[:, None]
+    ahead = z > camera.near
+    x, y, z = x[ahead], y[ahead], z[ahead]
+    radius = REACH * np.exp(splats.log_scales[ahead].max(axis=1)) / z
+    spans = []
+    for middle, reach, side in (
+        (intrinsics.fy_px * y / z + intrinsics.cy_px, intrinsics.fy_px * radius, camera.height_px),
+        (intrinsics.fx_px * x / z + intrinsics.cx_px, intrinsics.fx_px * radius, camera.width_px),
+    ):
+        count = -(-side // BLOCK_PX)
+        first, last = np.floor((middle - reach) / BLOCK_PX), np.floor((middle + reach) / BLOCK_PX) + 1
+        spans.append((first.clip(0, count).astype(np.intp), last.clip(0, count).astype(np.intp), count))
+    (top, bottom, rows), (left, right, columns) = spans
+    edges = np.zeros((rows + 1, columns + 1), np.int64)  # sums from the corner count the rectangles over a block
+    for at, sign in (((top, left), 1), ((bottom, right), 1), ((top, right), -1), ((bottom, left), -1)):
+        np.add.at(edges, at, sign)
+    return np.asarray(edges.cumsum(0).cumsum(1)[:rows, :columns] > 0)
 
 
 def _moved(lack: F32, drawn_from: Camera, camera: Camera, depth: F32) -> tuple[F32, F32]:

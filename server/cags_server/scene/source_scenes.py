@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cags_common.bundle import BundleReader, SourceDelta
 from cags_common.raster.base import Rasteriser, RasterScene
@@ -74,6 +75,19 @@ class SourceScenes:
         for at in range(frame, min(frame + frames, manifest.frames)):
             if at not in manifest.gof_starts:
                 self._delta(at)
+
+    def changed(self, frame: int, wanted: NDArray[np.bool_]) -> Splats:
+        """Those of the ``wanted`` splats [capacity], by id, that appeared or changed within :data:`AHEAD_FRAMES` up to
+        ``frame``, as of their last change; none of those that a group of frames begins with.
+        """
+        start = self._reader.manifest.gof_starts[self._reader.manifest.gof_of(frame)]
+        wanted, found = wanted.copy(), []
+        for at in range(frame, max(start, frame - AHEAD_FRAMES), -1):
+            delta = self._delta(at)
+            rows = np.flatnonzero(wanted[delta.ids])
+            found.append(delta.splats.take(rows))
+            wanted[delta.ids[rows]] = False
+        return Splats.concatenate(found) if found else _absent(0, self._reader.manifest.sh_degree)
 
     def warm(self, frame: int) -> None:
         """Load the scene that the first viewer will look at, before anybody waits for it."""

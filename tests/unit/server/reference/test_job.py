@@ -15,7 +15,6 @@ from cags_common.splats import Splats
 from cags_protocol.wire.messages import ReferenceKind
 from cags_server.reference.coder import ReferenceCoder
 from cags_server.reference.job import FrameJob
-from cags_server.scene.library import SceneLibrary
 from cags_server.scene.source_scenes import SourceScenes
 from support.server_scene import FakeScene
 from support.streamer_rig import Rig
@@ -100,40 +99,26 @@ def lacks_all(splats: Splats, alive: np.ndarray[Any, Any]) -> None:
     splats.logit_opacities[alive] = ABSENT_LOGIT
 
 
-def told(
-    job: FrameJob, change: Callable[[Splats, np.ndarray[Any, Any]], None], monkeypatch: pytest.MonkeyPatch
-) -> bool:
-    """What the coder hears when the job runs with such a mirror."""
+@pytest.mark.parametrize(
+    ("change", "new", "expected"), [(nothing, True, False), (lacks_all, False, False), (lacks_all, True, True)]
+)
+def test_the_coder_hears_where_splats_appear_that_the_client_lacks(
+    change: Callable[[Splats, np.ndarray[Any, Any]], None], new: bool, expected: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = planned()
     heard: list[bool] = []
     code = ReferenceCoder.code_views
 
-    def noted(coder: ReferenceCoder, *views: Any, appeared: bool, **options: Any) -> Any:
-        heard.append(appeared)
+    def noted(coder: ReferenceCoder, *views: Any, appeared: Any, **options: Any) -> Any:
+        heard.append(appeared is not None and appeared.any())
         return code(coder, *views, appeared=appeared, **options)
 
+    def changed(scenes: SourceScenes, frame: int, wanted: Any) -> Splats:
+        source = job.library.reader.source(frame)
+        return source.splats.take(np.flatnonzero(wanted[source.ids]) if new else slice(0, 0))
+
     monkeypatch.setattr(ReferenceCoder, "code_views", noted)
+    monkeypatch.setattr(SourceScenes, "changed", changed)
     mirror: Any = Held(job, change)
     replace(job, mirror=mirror).run()
-    (only,) = heard
-    return only
-
-
-@pytest.mark.parametrize(("change", "expected"), [(nothing, False), (lacks_all, True)])
-def test_the_coder_hears_of_splats_that_the_client_lacks(
-    change: Callable[[Splats, np.ndarray[Any, Any]], None], expected: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert told(planned(), change, monkeypatch) is expected
-
-
-def test_the_coder_hears_of_splats_that_are_gone_and_still_shown(monkeypatch: pytest.MonkeyPatch) -> None:
-    job = planned()
-    owners = SceneLibrary.owners
-
-    def without_the_first(library: SceneLibrary, frame: int) -> Any:
-        return np.where(np.arange(len(found := owners(library, frame))) == 0, -1, found)
-
-    def holds_all(splats: Splats, alive: np.ndarray[Any, Any]) -> None:
-        splats.logit_opacities[~alive] = 2
-
-    monkeypatch.setattr(SceneLibrary, "owners", without_the_first)
-    assert told(job, holds_all, monkeypatch)
+    assert heard == [expected]

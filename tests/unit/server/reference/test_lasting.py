@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from cags_common.geometry import F32, Camera, Intrinsics, Pose
-from cags_server.reference.lasting import NEWS, SMALL, WHOLE, Lasting
+from cags_server.reference.lasting import NEWS, REACH, SMALL, WHOLE, Lasting, blocks_of
+from support.splat_files import random_splats
 
 INTRINSICS = Intrinsics.of_fov(160, 120, 1.0, 0.8)
 DEPTH = np.full((120, 160), 2.0, np.float32)
@@ -55,31 +56,48 @@ def with_blob() -> F32:
     return np.asarray(texture() + blob)
 
 
-def test_a_splat_that_appears_is_sent_whole_and_so_is_what_is_left_there_a_frame_later() -> None:
-    lasting = Lasting()
+def test_where_splats_appear_this_difference_and_the_next_are_sent_whole() -> None:
+    lasting, appeared = Lasting(), np.zeros((15, 20), bool)
+    appeared[4:6, 11:14] = True
     assert lasting.share(texture(), camera(), DEPTH) is None
-    now = lasting.share(with_blob(), camera(), DEPTH, appeared=True)
-    then = lasting.share(texture(), camera(), DEPTH)
+    now = lasting.share(with_blob(), camera(), DEPTH, appeared)
+    then = lasting.share(texture(3), camera(), DEPTH)
+    later = lasting.share(with_blob(), camera(), DEPTH)
     assert now is not None
     assert then is not None
-    for share in (now, then):
-        assert share[40, 100] > 0.99
-    later = lasting.share(with_blob(), camera(), DEPTH)
     assert later is not None
+    assert min(now[40, 100], then[40, 100]) > 0.99
     assert later[40, 100] < 0.15, "nothing appeared: the order of blending"
+    assert np.median(then) < 0.5, "elsewhere it is compared"
 
 
-def test_where_nothing_is_new_a_splat_that_appears_elsewhere_changes_nothing() -> None:
-    unlike = with_blob()
-    unlike[60:] = texture(2)[60:]
-    lasting, other = Lasting(), Lasting()
-    for one in (lasting, other):
-        one.share(texture(), camera(), DEPTH)
-    appeared, plain = lasting.share(unlike, camera(), DEPTH, appeared=True), other.share(unlike, camera(), DEPTH)
-    assert appeared is not None
-    assert plain is not None
-    np.testing.assert_array_equal(appeared[70:], plain[70:])
-    assert appeared[70:].mean() < 0.4
+def test_blocks_of_splats_are_those_that_they_reach_into() -> None:
+    splats = random_splats(40, seed=7)
+    splats.log_scales[:] -= 2
+    splats.means[:30, 2] = np.abs(splats.means[:30, 2]) + 1
+    seen = camera(yaw_rad=0.1)
+    blocks = blocks_of(splats, seen)
+    assert blocks.shape == (15, 20)
+    expected = np.zeros_like(blocks)
+    rotation, shift = seen.world_to_camera
+    for mean, scales in zip(splats.means, splats.log_scales, strict=True):
+        x, y, z = rotation @ mean.astype(np.float64) + shift
+        if z <= seen.near:
+            continue
+        i, radius = seen.intrinsics, REACH * float(np.exp(scales.max())) / z
+        for row, column in np.ndindex(blocks.shape):
+            beside = abs((column + 0.5) * 8 - (i.fx_px * x / z + i.cx_px)) <= 4 + i.fx_px * radius
+            above = abs((row + 0.5) * 8 - (i.fy_px * y / z + i.cy_px)) <= 4 + i.fy_px * radius
+            expected[row, column] |= beside and above
+    assert expected.any() and not expected.all()
+    np.testing.assert_array_equal(blocks, expected)
+
+
+def test_no_splats_and_splats_behind_the_camera_are_in_no_block() -> None:
+    splats = random_splats(5)
+    splats.means[:] = (0.0, 0.0, -3.0)
+    assert not blocks_of(splats, camera()).any()
+    assert not blocks_of(splats.take(slice(0, 0)), camera()).any()
 
 
 def test_what_is_unlike_what_was_lacking_before_is_hardly_sent() -> None:

@@ -76,6 +76,21 @@ def test_removed_splats_are_transparent() -> None:
         assert scene._splats.logit_opacities[38] > 0
 
 
+def test_what_changed_lately_is_found_as_of_its_last_change_and_what_a_group_begins_with_is_not() -> None:
+    reader = FakeReader()
+    scenes = SourceScenes(reader, Renderer())
+    wanted = np.zeros(reader.manifest.capacity[0], bool)
+    wanted[[0, 5]] = True
+    assert len(scenes.changed(0, wanted)) == 0
+    for frame in (1, 4):
+        found, truth = scenes.changed(frame, wanted), reader.source(frame)
+        moved = [row for row, who in enumerate(truth.ids) if wanted[who] and who in reader.source_delta(frame).ids]
+        assert moved
+        np.testing.assert_array_equal(found.means[: len(moved)], truth.splats.means[moved])
+        assert len(found) == len(moved), "each once"
+    assert wanted.sum() == 2, "the caller's mask is not changed"
+
+
 def test_idle_scenes_are_bounded() -> None:
     scenes = SourceScenes(FakeReader(frames=40, gof=2), Renderer())
     for frame in range(0, 40, 2):
