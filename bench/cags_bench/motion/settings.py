@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from cags_common.settings import check_settings, setting
+from cags_common.settings import check_settings, names_in, setting
+
+PARTS = ("rates", "times", "sessions")
 
 DISGUISE = "shuffle=1,quantise=sog"
 """Options that make a scene's frames like those from a capture's tool chain."""
@@ -17,6 +19,7 @@ class MotionSettings:
 
     shared: str = setting("../shared", "folder that contains scenes/; missing scenes are left out")
     scenes: str = setting("", "scenes, separated by ';'; empty: those of --shared and generated ones")
+    parts: str = setting(",".join(PARTS), f"parts to run, of {', '.join(PARTS)}")
     frames: int = setting(49, "largest number of frames per scene", low=3, high=10_000)
     judged: int = setting(7, "number of frames to compare with the source, spread over the clip", low=1, high=1000)
     views: int = setting(3, "views of each judged frame", low=1, high=64)
@@ -25,12 +28,19 @@ class MotionSettings:
     film: str = setting("", "also play --film-scene with both codings in virtual time and write a film strip here")
     film_scene: str = setting("fourd:splats=20000,births=2500", "scene of the film strip")
     film_trace: str = setting("generated:steady-10", "network trace of the film strip")
-    cache: str = setting("", "folder of encoded bundles for the film; empty: the user's cache folder")
+    seeds: int = setting(3, "plays of each session, each with another walk and part of the trace", low=1, high=100)
+    cache: str = setting("", "folder of encoded bundles for film and sessions; empty: the user's cache folder")
     repetitions: int = setting(15, "timed evaluations of motion", low=1, high=1000)
     threads: int = setting(2, "threads that evaluate motion", low=1, high=64)
 
     def __post_init__(self) -> None:
         check_settings(self)
+        self.part_list  # noqa: B018 - refuse what does not parse
+
+    @property
+    def part_list(self) -> list[str]:
+        """Parts to run, from :data:`PARTS`."""
+        return names_in(self.parts, "parts", PARTS)
 
     @property
     def scene_list(self) -> list[str]:
