@@ -18,7 +18,6 @@ from cags_common.bundle.view import AuthorView, read_view
 from cags_common.errors import ConfigError, SceneError
 from cags_common.geometry import F64, Vec3
 from cags_common.motion.apply import Steps
-from cags_common.motion.chunk import LEVELS
 from cags_common.raster import create
 from cags_common.splats import Splats
 from cags_common.tiles.lod import LodLayer
@@ -153,7 +152,7 @@ class _Encoding:
 
     def _motion(self, codec: ClipCodec) -> MotionSteps | None:
         """Units of motion; None for a clip of one frame, in which nothing moves."""
-        tracks = self._settings.motion == "tracks" and self._count > 1 and len(codec.lod_order) + 1 >= LEVELS
+        tracks = self._settings.motion == "tracks" and self._count > 1
         if not tracks or not isinstance(codec, SvqCodec):
             return None
         book = codec.quantiser.books["scale"]

@@ -19,7 +19,7 @@ from cags_common.tiles.updates import encode_update
 from support.small_store import ATTRIBUTES, CAPACITY, ORDER, books, manifest
 
 BOX = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
-MOVE_UNIT = 1 / 64
+MOVE_UNIT = 1 / 256
 
 
 def moving(of: Manifest | None = None) -> Manifest:

@@ -19,13 +19,13 @@ DAMAGED = 400
 
 
 def test_tiles_and_updates_of_the_recorded_bundle_at_every_recorded_level(tmp_path: Path) -> None:
-    bundle = json.loads((VECTORS / "bundle" / "v3.json").read_text())
+    bundle = json.loads((VECTORS / "bundle" / "v4.json").read_text())
     run_tests("decode", tmp_path, bundle=bundle, chunks=_chunks(), bytes=_bytes())
 
 
 def _chunks() -> list[dict[str, Any]]:
     """Payloads of recorded chunks, and the arrays that they decode to."""
-    with np.load(VECTORS / "motion" / "v6.npz") as file:
+    with np.load(VECTORS / "motion" / "v7.npz") as file:
         arrays = {key: file[key] for key in file.files}
     out = []
     for name in sorted({key.split("/")[0] for key in arrays}):

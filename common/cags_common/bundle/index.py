@@ -79,8 +79,9 @@ def encode_tile_index(frames: Sequence[FrameEntry], lods: int) -> bytes:
     tiles = [tile for frame in frames for tile in frame.tiles]
     frame_rows = np.array([(len(f.tiles), f.removed_count, f.removed_bytes, f.removed_crc) for f in frames], _FRAME)
     tile_rows = np.array([_tile_row(tile) for tile in tiles], _TILE)
-    sizes = np.array([_padded(t.lod_bytes, lods) for t in tiles], "<u4").reshape(-1, lods)
-    crcs = np.array([_padded(t.crcs, lods) for t in tiles], "<u4").reshape(-1, lods)
+    columns = _columns(lods)
+    sizes = np.array([_padded(t.lod_bytes, columns) for t in tiles], "<u4").reshape(-1, columns)
+    crcs = np.array([_padded(t.crcs, columns) for t in tiles], "<u4").reshape(-1, columns)
     head = _HEADER.pack(frames[0].frame, len(frames), lods, len(tiles))
     return gzip_bytes(b"".join([head, *(rows.tobytes() for rows in (frame_rows, tile_rows, sizes, crcs))]))
 
@@ -91,8 +92,13 @@ def _tile_row(tile: TileEntry) -> tuple[object, ...]:
     return (int(tile.kind), tile.span, number, frame, tile.splats, first_id, *tile.bounds)
 
 
-def _padded(values: tuple[int, ...], lods: int) -> tuple[int, ...]:
-    return (*values, *(0,) * (lods - len(values)))
+def _columns(lods: int) -> int:
+    """Sizes and checksums of a tile: motion may have more levels than looks have LoDs."""
+    return max(lods, LEVELS)
+
+
+def _padded(values: tuple[int, ...], columns: int) -> tuple[int, ...]:
+    return (*values, *(0,) * (columns - len(values)))
 
 
 def decode_tile_index(data: bytes, *, gof: int, frames: range, lods: int) -> tuple[FrameEntry, ...]:
@@ -105,7 +111,8 @@ def decode_tile_index(data: bytes, *, gof: int, frames: range, lods: int) -> tup
         raise BundleError(
             f"index of group {gof}: is for {count} frames from {first} with {found_lods} LoDs, not this group"
         )
-    expected = _HEADER.size + count * _FRAME.itemsize + tiles * (_TILE.itemsize + 8 * lods)
+    columns = _columns(lods)
+    expected = _HEADER.size + count * _FRAME.itemsize + tiles * (_TILE.itemsize + 8 * columns)
     if len(raw) != expected:
         raise BundleError(f"index of group {gof}: has {len(raw)} bytes, expected {expected}")
     at = _HEADER.size
@@ -113,11 +120,11 @@ def decode_tile_index(data: bytes, *, gof: int, frames: range, lods: int) -> tup
     at += frame_rows.nbytes
     tile_rows = np.frombuffer(raw, _TILE, tiles, at)
     at += tile_rows.nbytes
-    sizes = np.frombuffer(raw, "<u4", tiles * lods, at).reshape(tiles, lods)
-    crcs = np.frombuffer(raw, "<u4", tiles * lods, at + sizes.nbytes).reshape(tiles, lods)
+    sizes = np.frombuffer(raw, "<u4", tiles * columns, at).reshape(tiles, columns)
+    crcs = np.frombuffer(raw, "<u4", tiles * columns, at + sizes.nbytes).reshape(tiles, columns)
     if int(frame_rows["tiles"].sum()) != tiles or (tiles and int(tile_rows["splats"].max()) > MAX_TILE_SPLATS):
         raise BundleError(f"index of group {gof}: tile counts do not add up or exceed {MAX_TILE_SPLATS} splats a tile")
-    return _frame_entries(gof, first, frame_rows, tile_rows, (sizes, crcs))
+    return _frame_entries(gof, first, frame_rows, (tile_rows, sizes, crcs), lods)
 
 
 def encode_source_index(sizes: Sequence[tuple[int, int]]) -> bytes:
@@ -141,14 +148,14 @@ def _unpacked(data: bytes, what: str) -> bytes:
 
 
 def _frame_entries(
-    gof: int, first: int, frame_rows: np.ndarray, tile_rows: np.ndarray, layers: tuple[np.ndarray, np.ndarray]
+    gof: int, first: int, frame_rows: np.ndarray, of_tiles: tuple[np.ndarray, np.ndarray, np.ndarray], lods: int
 ) -> tuple[FrameEntry, ...]:
+    tile_rows, sizes, crcs = of_tiles
     out, offset, row = [], len(TILES_MAGIC), 0
     for index, f in enumerate(frame_rows):
         count = int(f["tiles"])
         tiles = tuple(
-            _tile_entry(tile, tile_rows[row + tile], layers[0][row + tile], layers[1][row + tile])
-            for tile in range(count)
+            _tile_entry(tile, tile_rows[row + tile], sizes[row + tile], crcs[row + tile], lods) for tile in range(count)
         )
         removed = int(f["removed_count"]), int(f["removed_bytes"]), int(f["removed_crc"])
         entry = FrameEntry(first + index, index == 0, gof, tiles, *removed, offset)
@@ -157,11 +164,11 @@ def _frame_entries(
     return tuple(out)
 
 
-def _tile_entry(tile: int, row: np.void, sizes: np.ndarray, crcs: np.ndarray) -> TileEntry:
+def _tile_entry(tile: int, row: np.void, sizes: np.ndarray, crcs: np.ndarray, lods: int) -> TileEntry:
     first, kind, span = int(row["first_id"]), int(row["kind"]), int(row["span"])
     if first >= MAX_SPLATS or kind >= len(TileKind) or span > MAX_SPAN or (kind == TileKind.MOTION) != (span > 0):
         raise BundleError(f"index: first id {first}, kind {kind}, span {span} of tile {tile} are outside the bounds")
-    levels = LEVELS if kind == TileKind.MOTION else len(sizes)
+    levels = LEVELS if kind == TileKind.MOTION else lods
     low, high = row["low"].tolist(), row["high"].tolist()
     bounds = (low[0], low[1], low[2]), (high[0], high[1], high[2])
     return TileEntry(

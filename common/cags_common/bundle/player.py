@@ -12,6 +12,7 @@ from cags_common.bundle.reader import BundleReader
 from cags_common.bundle.source import SourceFrame
 from cags_common.errors import BundleError, DecodeError
 from cags_common.motion.apply import ABSENT_LOGIT
+from cags_common.tiles.kinds import TileKind
 from cags_common.tiles.splat_buffer import Slot, SplatBuffer
 from cags_common.tiles.updates import UpdateState
 
@@ -59,6 +60,8 @@ class BundlePlayer:
         reader, number = self._reader, entry.tile
         state = reader.codec.open_tile(reader.payload(frame, number, 0))
         top, levels = reader.manifest.lods - 1, len(entry.lod_bytes)
+        if entry.kind == TileKind.MOTION:
+            levels = sum(size > 0 for size in entry.lod_bytes)
         for lod in range(1, -(-self._lod * (levels - 1) // max(top, 1)) + 1):
             state.add_layer(lod, reader.payload(frame, number, lod))
         return state

@@ -2,7 +2,8 @@
 
 Everything is said against the tile's own positions and rotations, which a client has from the tile's first level on: a
 chunk needs no other chunk, and nothing drifts. Level 0 says who ends when, who fades how, how blocks of splats move as
-rigid bodies, and coarse residuals; each further level refines the residuals by four. Layout: ``docs/bundle.md``.
+rigid bodies, how many levels there are, and coarse residuals; each further level refines the residuals by four. Levels
+beyond the chunk's own are empty. Layout: ``docs/bundle.md``.
 """
 
 from __future__ import annotations
@@ -21,8 +22,10 @@ from cags_common.geometry import F32, F64
 from cags_common.motion.knots import I32, knots
 from cags_common.motion.symbols import SymbolReader, SymbolWriter, fade_tables, life_tables
 
-VERSION = 6
-LEVELS = 3
+VERSION = 7
+LEVELS = 4
+"""Levels of a chunk at most."""
+
 REFINEMENT = 4
 """A level's unit is so many times the next one's."""
 
@@ -32,7 +35,7 @@ MAX_SAMPLES = 1 << 20
 """Splats times samples of the span: what a payload of a few bytes may claim takes 28 MiB."""
 
 MAX_BLOCK = 4_096
-MAX_FINER = 8
+MAX_FINER = 10
 """A chunk's units are those of its tile, halved so often at most."""
 
 MAX_UNIT = 1e30
@@ -40,7 +43,7 @@ MAX_UNITS = (1 << 25) - (1 << 10)
 """Residuals, finest units: fixed point fits 32 bits."""
 
 STARTS, TURNS, LIVES, FADES, MOVES, STILLS, CURVED_MOVES, CURVED_TURNS = 1, 2, 4, 8, 16, 32, 64, 128
-DEADZONES = (0.2, 0.1, 0.15)
+DEADZONES = (0.2, 0.1, 0.15, 0.15)
 """Of each level, units beyond half a one up to which a residual is none: most of the bits tell such noise."""
 
 FEW_STILL = 0.5
@@ -107,13 +110,15 @@ def encode(
     finer: tuple[int, int] = (0, 0),
     told: tuple[int, int] = (LEVELS, LEVELS),
     curved: tuple[bool, bool] = (False, False),
+    deadzones: tuple[Sequence[float], Sequence[float]] = (DEADZONES, DEADZONES),
     native: bool | None = None,
 ) -> tuple[bytes, ...]:
     """The payload of each level. ``moves`` [span + 1, n, 3] and ``turns`` [span + 1, n, 4] are in finest units, those
     of ``turns`` against (1, 0, 0, 0); ``fades`` [n, 2] are an index of :data:`FADE_WIDTHS` plus one (0: none) and the
     centre in ``FADE_STEP`` parts of the width, from the middle of the life. ``finer`` says how often the finest
     units of ``moves`` and of ``turns`` are the tile's halved, ``told`` how many levels say anything of them, ``curved``
-    whether their middles are told against curves.
+    whether their middles are told against curves, ``deadzones`` those of each level. Payloads of levels that say
+    nothing are empty.
 
     ``native`` None takes the kernel where there is one, to the same bytes. Raises ``ValueError`` for arrays that do not
     fit each other, are beyond the format's bounds or not finite.
@@ -123,25 +128,29 @@ def encode(
     _check_sides(span, splats, lives, fades, blocks)
     if not all(0 <= halvings <= MAX_FINER for halvings in finer):
         raise ValueError(f"motion: units halved {finer} times, 0 to {MAX_FINER} expected")
+    if not all(0 <= levels <= LEVELS for levels in told):
+        raise ValueError(f"motion: {told} levels say something, 0 to {LEVELS} expected")
     orders = {
         name: knots(span, start=starts, curved=bent) for name, bent in zip(("moves", "turns"), curved, strict=True)
     }
     flags = STARTS * starts | MOVES * (moves is not None) | TURNS * (turns is not None)
     flags |= LIVES * (lives is not None) | FADES * (fades is not None)
     flags |= CURVED_MOVES * (moves is not None and curved[0]) | CURVED_TURNS * (turns is not None and curved[1])
-    levels = {"moves": told[0], "turns": told[1]}
-    movers = _movers(left, levels)
+    levels = {name: told[part] for part, name in enumerate(("moves", "turns")) if name in left}
+    zones = {name: deadzones[part] for part, name in enumerate(("moves", "turns"))}
+    count = max(1, *levels.values())
+    movers = _movers(left, levels, zones)
     if movers is not None:
         flags |= STILLS
         left = {name: np.ascontiguousarray(part[:, movers]) for name, part in left.items()}
     apart = {name: np.zeros(part.shape, np.uint8) for name, part in left.items()}
     payloads = []
-    for level in range(LEVELS):
+    for level in range(count):
         writer = SymbolWriter(native=native)
         if level == 0:
             _write_sides(writer, span, lives, fades)
         for name, part in left.items():
-            unit, deadzone = REFINEMENT ** (LEVELS - 1 - level), DEADZONES[level]
+            unit, deadzone = REFINEMENT ** (LEVELS - 1 - level), zones[name][level]
             if level >= levels[name]:
                 part[:] = 0.0
             writer.tree(orders[name], part, apart[name], unit, deadzone, turn=name == "turns")
@@ -151,21 +160,23 @@ def encode(
             rigid, who = _blocks_bytes(blocks), b"" if movers is None else squeeze(np.packbits(movers).tobytes())
             block = (blocks.size, *finer, blocks.unit) if blocks else (0, *finer, 0.0)
             parts = len(rigid), len(who), *sizes
-            head = _HEAD.pack(VERSION, flags, span, LEVELS, *looks, splats, *block, *parts) + rigid + who
+            head = _HEAD.pack(VERSION, flags, span, count, *looks, splats, *block, *parts) + rigid + who
         else:
             head = struct.pack("<I", len(escapes))
         payloads.append(head + escapes + symbols)
-    return tuple(payloads)
+    return *payloads, *(b"" for _ in range(count, LEVELS))
 
 
-def _movers(left: dict[str, F64], levels: dict[str, int]) -> NDArray[np.bool_] | None:
+def _movers(
+    left: dict[str, F64], levels: dict[str, int], deadzones: dict[str, Sequence[float]]
+) -> NDArray[np.bool_] | None:
     """[n] splats of which a level says anything; None where they are most.
 
     Nothing is said where every residual falls into the dead zone, in whatever level.
     """
     moves = np.zeros(next(iter(left.values())).shape[1], bool)
     for name, part in left.items():
-        zones = [REFINEMENT ** (LEVELS - 1 - level) * (0.5 + DEADZONES[level]) for level in range(levels[name])]
+        zones = [REFINEMENT ** (LEVELS - 1 - level) * (0.5 + deadzones[name][level]) for level in range(levels[name])]
         if zones:
             moves |= (np.abs(part) >= min(zones)).any(axis=(0, 2))
     return moves if moves.sum() < (1 - FEW_STILL) * len(moves) else None
@@ -235,7 +246,12 @@ class ChunkDecoder:
         self._trees: tuple[I32 | None, ...] = ()  # [span + 1, movers, c] of positions and of rotations, as far as told
         self._told = _Told.of(head, head.splats if self._movers is None else len(self._movers))
         reader = SymbolReader(escapes, symbols, native=native)
-        self.chunk, self.levels = self._opened(head, rigid, reader), 1
+        self.chunk, self._read, self._count = self._opened(head, rigid, reader), 1, head.levels
+
+    @property
+    def levels(self) -> int:
+        """Number of levels that there are, from the first on; those that are empty count from the last full one on."""
+        return self._read if self._read < self._count else LEVELS
 
     @property
     def looks(self) -> tuple[int, int]:
@@ -248,11 +264,13 @@ class ChunkDecoder:
 
     def add_level(self, payload: bytes | memoryview) -> None:
         """Take the next level. Raises :class:`DecodeError`, and then nothing is changed."""
-        if self.levels >= LEVELS:
-            raise DecodeError(f"motion: level {self.levels} of {LEVELS} is too much")
+        if self._read >= self._count:
+            if not len(payload):
+                return
+            raise DecodeError(f"motion: level {self._read} of {self._count} is too much")
         reader = SymbolReader(*_finer_sections(payload), native=self._native)
         chunk, told = self.chunk, self._told.copy()
-        more = _read_trees(reader, chunk, self.levels, told)
+        more = _read_trees(reader, chunk, self._read, told)
         reader.finish()
         self._told = told
         self._trees = tuple(
@@ -260,7 +278,7 @@ class ChunkDecoder:
             for tree, finer in zip(self._trees, more, strict=True)
         )
         self.chunk = self._with_trees(chunk)
-        self.levels += 1
+        self._read += 1
 
     def _opened(self, head: _Head, rigid: memoryview, reader: SymbolReader) -> Chunk:
         n = head.splats
@@ -292,6 +310,8 @@ class ChunkDecoder:
 class _Head:
     flags: int
     span: int
+    levels: int
+    """Levels that say anything."""
     looks: tuple[int, int]
     splats: int
     block: int
@@ -332,7 +352,7 @@ def _sections(payload: bytes | memoryview) -> tuple[_Head, memoryview, memoryvie
         raise DecodeError(f"motion: {len(view)} bytes are too few for a chunk")
     version, flags, span, levels, frame, tile, splats, block, finer, finer_turns, unit, *sizes = _HEAD.unpack_from(view)
     bent = (flags & CURVED_MOVES and not flags & MOVES) or (flags & CURVED_TURNS and not flags & TURNS)
-    if version != VERSION or levels != LEVELS or bent:
+    if version != VERSION or not 1 <= levels <= LEVELS or bent:
         raise DecodeError(f"motion: version {version}, {levels} levels, flags {flags}; this program reads {VERSION}")
     small = splats <= MAX_SPLATS and splats * (span + 1) <= MAX_SAMPLES
     bounds = 1 <= span <= MAX_SPAN and small and block <= MAX_BLOCK and 0.0 <= unit <= MAX_UNIT
@@ -342,7 +362,7 @@ def _sections(payload: bytes | memoryview) -> tuple[_Head, memoryview, memoryvie
     rigid = _HEAD.size + sizes[0]
     who = rigid + sizes[1]
     escapes = who + sizes[2]
-    head = _Head(flags, span, (frame, tile), splats, block, (finer, finer_turns), unit)
+    head = _Head(flags, span, levels, (frame, tile), splats, block, (finer, finer_turns), unit)
     return head, view[_HEAD.size : rigid], view[rigid:who], view[who:escapes], view[escapes:]
 
 

@@ -42,8 +42,14 @@ JUDGED = 512
 LEAST_UNITS = 0.5
 """Smaller residuals round to zero."""
 
-MOST_UNITS = float(1 << 21)
+MOST_UNITS = float(1 << 23)
 """Largest residual, in finest units; with larger motion a splat counts as another one."""
+
+BASE_LEVELS = 3
+"""Levels from the base on: 1, 1/4 and 1/16 of a standard deviation, halved together as often as a chunk needs."""
+
+COARSE = (LEVELS - BASE_LEVELS) * (REFINEMENT.bit_length() - 1)
+"""Halvings from which on a coarser level precedes the base. It is not coarser than a standard deviation either."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,11 +84,18 @@ class Exactness:
     """How often the tile's units are halved."""
     told: int = LEVELS
     """Number of levels that are not empty."""
+    coarse: bool = False
+    """Whether level 0 is coarser than the base."""
 
     @property
     def step(self) -> int:
         """Finest units of the chunk per unit of the last level that is not empty."""
         return int(REFINEMENT ** (LEVELS - self.told))
+
+    @property
+    def deadzones(self) -> tuple[float, ...]:
+        """Dead zone of each level."""
+        return (DEADZONES[0], *DEADZONES[:-1]) if self.coarse else DEADZONES
 
     def scaled(self, values: F64) -> F64:
         """``values``, given in the tile's units, in units of the last level that is not empty."""
@@ -92,27 +105,36 @@ class Exactness:
 
 
 def exactness(values: F64, present: NDArray[np.bool_], tolerance: Tolerance, *, starts: bool, turn: bool) -> Exactness:
-    """The accuracy for ``values`` [frames, n, c], in the tile's units, whose errors are within ``tolerance``."""
+    """The accuracy for ``values`` [frames, n, c], in the tile's units, whose errors are within ``tolerance``.
+
+    The base is level 0, or level 1 if it is so exact that a coarser level is worth having.
+    """
     rows = np.flatnonzero(present.any(axis=0))
     rows = rows[:: max(1, len(rows) // JUDGED)]
     values, present = values[:, rows], present[:, rows]
     largest = float(np.abs(values).max(initial=1.0))
-    most = int(np.clip(np.log2(MOST_UNITS / largest), 0, MAX_FINER))
+    most = int(np.clip(np.log2(MOST_UNITS / largest) - COARSE, 0, MAX_FINER - COARSE))
 
-    def error(finer: int, told: int) -> float:
+    def error(finer: int, level: int) -> float:
+        """With the base alone (0), or so many levels more."""
         left = np.ascontiguousarray(np.clip(values, -MOST_UNITS, MOST_UNITS) * 2.0**finer)
         order, apart = knots(len(values) - 1, start=starts), np.zeros(values.shape, np.uint8)
-        SymbolWriter().tree(order, left, apart, REFINEMENT ** (LEVELS - told), DEADZONES[told - 1], turn=turn)
+        SymbolWriter().tree(order, left, apart, REFINEMENT ** (BASE_LEVELS - 1 - level), DEADZONES[level], turn=turn)
         off: F64 = left[present] * 2.0**-finer
         return float(np.sqrt(np.square(off).mean())) if off.size else 0.0
 
-    finer = next((finer for finer in range(most) if error(finer, 1) <= tolerance.base), most)
-    for told in range(1, LEVELS):
-        if error(finer, told) <= tolerance.spare:
-            return Exactness(finer, told)
-    while finer < most and error(finer, LEVELS) > tolerance.top:
+    finer = next((finer for finer in range(most) if error(finer, 0) <= tolerance.base), most)
+    coarse = finer >= COARSE
+
+    def found(levels: int) -> Exactness:
+        return Exactness(finer, levels + 1, coarse) if coarse else Exactness(finer + COARSE, levels)
+
+    for level in range(BASE_LEVELS - 1):
+        if error(finer, level) <= tolerance.spare:
+            return found(level + 1)
+    while finer < most and error(finer, BASE_LEVELS - 1) > tolerance.top:
         finer += 1
-    return Exactness(finer)
+    return found(BASE_LEVELS)
 
 
 def curved(values: F64 | None, exact: Exactness, *, starts: bool, turn: bool) -> bool:
@@ -128,7 +150,7 @@ def curved(values: F64 | None, exact: Exactness, *, starts: bool, turn: bool) ->
     def size(bent: bool) -> int:
         writer, apart = SymbolWriter(), np.zeros(some.shape, np.uint8)
         order = knots(len(values) - 1, start=starts, curved=bent)
-        writer.tree(order, some.copy(), apart, exact.step, DEADZONES[exact.told - 1], turn=turn)
+        writer.tree(order, some.copy(), apart, exact.step, exact.deadzones[exact.told - 1], turn=turn)
         return sum(map(len, writer.to_bytes()))
 
     return some.size > 0 and size(True) < size(False)
@@ -166,6 +188,7 @@ def encode_span(span: TrackSpan) -> TilePayloads:
             curved(told, exact, starts=span.starts, turn=False),
             curved(rotations, turned, starts=span.starts, turn=True),
         ),
+        deadzones=(exact.deadzones, turned.deadzones),
     )
     shown = moves[span.present]
     return TilePayloads(

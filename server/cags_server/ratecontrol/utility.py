@@ -8,9 +8,9 @@ thirtieth of the same detail on splats that stay for a second. A base layer is w
 splats in its place, as in a key frame.
 
 Motion and updates have the same unit of value. Splats without their motion stand still, and splats without an update
-show an old attribute; both errors grow with time. The last level of motion leaves as much error as the best looks do,
-each level before it more. A chunk that begins later is worth less now, so chunks that begin together are sent one by
-one while the link has room.
+show an old attribute; both errors grow with time. The last level of motion that says anything leaves as much error as
+the best looks do, each level before it more. A chunk that begins later is worth less now, so chunks that begin together
+are sent one by one while the link has room.
 
 A layer of small gain may precede one of large gain. A tile's layers are therefore offered in runs along the convex hull
 of removed distortion over bytes, steepest first, which makes the greedy order optimal up to the last run.
@@ -148,8 +148,10 @@ def _ratio(db: float) -> float:
 def left_by(tile: TileView, distortions: tuple[float, ...]) -> tuple[float, ...]:
     """Squared error of the contents of ``tile`` at each of its LoDs."""
     if tile.kind == TileKind.MOTION:
-        finest = tile.max_depth - 1
-        return tuple(min(distortions[-1] * _ratio(LEVEL_DB * (finest - level)), 1.0) for level in range(tile.max_depth))
+        finest = max((level for level, size in enumerate(tile.lod_bytes) if size), default=0)
+        return tuple(
+            min(distortions[-1] * _ratio(LEVEL_DB * max(finest - level, 0)), 1.0) for level in range(tile.max_depth)
+        )
     if tile.kind == TileKind.UPDATE:  # LoDs of unchanged attributes have no gain
         out = [1.0]
         for lod in range(1, tile.max_depth):

@@ -83,6 +83,14 @@ def cases() -> dict[str, dict[str, Any]]:
             "starts": False,
             "lives": np.array([0, 1, 2], np.uint8),
         },
+        "coarse-first": {
+            "moves": smooth(random, 6, 21, 3, 8.0),
+            "turns": smooth(random, 6, 21, 4, 1.0),
+            "starts": True,
+            "finer": (10, 2),
+            "told": (4, 3),
+            "deadzones": ((0.2, 0.2, 0.1, 0.15), (0.2, 0.1, 0.15, 0.15)),
+        },
     }
 
 

@@ -1,17 +1,18 @@
-/** A chunk of motion as far as it has come, as `cags_common.motion.chunk`: format 6, three levels. */
+/** A chunk of motion as far as it has come, as `cags_common.motion.chunk`: format 7, up to four levels. */
 import { DecodeError } from "../bytes/errors.ts";
 import { unsqueeze } from "../bytes/inflate.ts";
 import type { Kernels } from "../decode/kernels.ts";
 import { classTables, CLASSES, KNOT_NUMBERS, knots } from "./knots.ts";
 
-export const MOTION_VERSION = 6;
-export const LEVELS = 3;
+export const MOTION_VERSION = 7;
+/** Levels of a chunk at most. */
+export const LEVELS = 4;
 const REFINEMENT = 4;
 const MAX_SPAN = 64;
 const MAX_SPLATS = 65_536;
 const MAX_SAMPLES = 1 << 20;
 const MAX_BLOCK = 4_096;
-const MAX_FINER = 8;
+const MAX_FINER = 10;
 const MAX_UNIT = 1e30;
 const MAX_ESCAPES = 1 << 23;
 const ESCAPE = 254;
@@ -59,6 +60,8 @@ export interface Chunk {
 interface Head {
   readonly flags: number;
   readonly span: number;
+  /** Levels that say anything. */
+  readonly levels: number;
   readonly looks: readonly [number, number];
   readonly splats: number;
   readonly block: number;
@@ -75,7 +78,9 @@ export function readLooks(payload: Uint8Array): readonly [number, number] {
 export class MotionTile {
   readonly kind = "motion";
   chunk: Chunk;
-  private levels = 1;
+  private read = 1;
+  /** Levels that say anything. */
+  private readonly count: number;
   /** Where levels that were read had residuals: moves, turns. */
   private told: readonly (Uint8Array | undefined)[];
   private waiting = new Map<number, Uint8Array>();
@@ -90,6 +95,7 @@ export class MotionTile {
     this.kernels = kernels;
     const { head, rigid, who, escapes, symbols } = sections(payload);
     this.movers = readMovers(head, who);
+    this.count = head.levels;
     const rows = (head.span + 1) * (this.movers?.length ?? head.splats);
     const told = [head.flags & MOVES ? new Uint8Array(3 * rows) : undefined, head.flags & TURNS ? new Uint8Array(4 * rows) : undefined];
     const { blank, trees } = withReader(kernels, escapes, symbols, (reader) => opened(head, rigid, reader, told));
@@ -109,6 +115,11 @@ export class MotionTile {
   /** Highest level up to which everything has come. */
   get lod(): number {
     return this.levels - 1;
+  }
+
+  /** Levels that there are, from the first on; those that are empty count from the last full one on. */
+  private get levels(): number {
+    return this.read < this.count ? this.read : LEVELS;
   }
 
   /** Take level `lod` >= 1; whether the motion changed. Raises {@link DecodeError}. */
@@ -134,22 +145,22 @@ export class MotionTile {
 
   /** Take the next level. Raises {@link DecodeError}, and then nothing is changed. */
   private addLevel(payload: Uint8Array): void {
-    if (this.levels >= LEVELS || payload.length < 4) {
-      throw new DecodeError(`motion: level ${this.levels} of ${LEVELS} is too much or cut short`);
+    if (this.read >= this.count || payload.length < 4) {
+      throw new DecodeError(`motion: level ${this.read} of ${this.count} is too much or cut short`);
     }
     const escapes = 4 + new DataView(payload.buffer, payload.byteOffset, 4).getUint32(0, true);
     if (escapes > payload.length) throw new DecodeError("motion: a level's escapes are cut short");
-    const { chunk, levels } = this;
+    const { chunk, read } = this;
     const told = this.told.map((part) => part?.slice());
     const [moves, turns] = withReader(this.kernels, payload.subarray(4, escapes), payload.subarray(escapes), (reader) => {
-      const trees = readTrees(reader, chunk, levels, told);
+      const trees = readTrees(reader, chunk, read, told);
       reader.finish();
       return trees;
     });
     this.told = told;
     this.trees = [sum(this.trees[0], moves), sum(this.trees[1], turns)];
     this.chunk = this.withTrees(chunk);
-    this.levels += 1;
+    this.read += 1;
   }
 
   private withTrees(chunk: Chunk): Chunk {
@@ -201,7 +212,7 @@ function sections(payload: Uint8Array): { head: Head; rigid: Uint8Array; who: Ui
   const [finer, finerTurns, unit] = [v.getUint8(18), v.getUint8(19), v.getFloat32(20, true)];
   const sizes = [24, 28, 32, 36].map((at) => v.getUint32(at, true)) as [number, number, number, number];
   const bent = (flags & CURVED_MOVES && !(flags & MOVES)) || (flags & CURVED_TURNS && !(flags & TURNS));
-  if (version !== MOTION_VERSION || levels !== LEVELS || bent) {
+  if (version !== MOTION_VERSION || levels < 1 || levels > LEVELS || bent) {
     throw new DecodeError(`motion: version ${version}, ${levels} levels, flags ${flags}; this program reads ${MOTION_VERSION}`);
   }
   const small = splats <= MAX_SPLATS && splats * (span + 1) <= MAX_SAMPLES;
@@ -213,7 +224,7 @@ function sections(payload: Uint8Array): { head: Head; rigid: Uint8Array; who: Ui
   const rigid = HEAD_BYTES + sizes[0];
   const who = rigid + sizes[1];
   const escapes = who + sizes[2];
-  const head = { flags, span, looks: [frame, tile] as const, splats, block, finer: [finer, finerTurns] as const, unit };
+  const head = { flags, span, levels, looks: [frame, tile] as const, splats, block, finer: [finer, finerTurns] as const, unit };
   return {
     head, rigid: payload.subarray(HEAD_BYTES, rigid), who: payload.subarray(rigid, who),
     escapes: payload.subarray(who, escapes), symbols: payload.subarray(escapes),

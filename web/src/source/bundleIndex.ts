@@ -39,10 +39,11 @@ export function readIndex(data: Uint8Array, first: number, count: number, lods: 
   const numbers = raw.length < HEADER_BYTES ? [] : [0, 4, 8, 12].map((at) => view.getUint32(at, true));
   const tiles = numbers[3] ?? 0;
   if (numbers[0] !== first || numbers[1] !== count || numbers[2] !== lods) throw new BundleError(`${what}: is not this group's`);
-  if (raw.length !== HEADER_BYTES + count * FRAME_BYTES + tiles * (TILE_BYTES + 8 * lods)) {
+  const columns = Math.max(lods, LEVELS); // motion may have more levels than looks have LoDs
+  if (raw.length !== HEADER_BYTES + count * FRAME_BYTES + tiles * (TILE_BYTES + 8 * columns)) {
     throw new BundleError(`${what}: has ${raw.length} bytes, which is another length`);
   }
-  return frames(view, first, count, tiles, lods, what);
+  return frames(view, first, count, tiles, [lods, columns], what);
 }
 
 function unpacked(data: Uint8Array, what: string): Uint8Array {
@@ -53,7 +54,9 @@ function unpacked(data: Uint8Array, what: string): Uint8Array {
   }
 }
 
-function frames(view: DataView, first: number, count: number, tiles: number, lods: number, what: string): FrameEntry[] {
+function frames(
+  view: DataView, first: number, count: number, tiles: number, [lods, columns]: readonly [number, number], what: string,
+): FrameEntry[] {
   const tileAt = HEADER_BYTES + count * FRAME_BYTES;
   const sizesAt = tileAt + tiles * TILE_BYTES;
   const out: FrameEntry[] = [];
@@ -65,7 +68,8 @@ function frames(view: DataView, first: number, count: number, tiles: number, lod
     const removed = [offset, (offset += bytes!)] as const;
     const entries: TileEntry[] = [];
     for (let tile = 0; tile < own!; tile++, row++) {
-      const entry = tileEntry(view, first + index, tile, tileAt + TILE_BYTES * row, sizesAt + 4 * lods * row, tiles * lods * 4, lods, offset, what);
+      const at = [tileAt + TILE_BYTES * row, sizesAt + 4 * columns * row, tiles * columns * 4] as const;
+      const entry = tileEntry(view, first + index, tile, at, lods, offset, what);
       offset = entry.offsets.at(-1)!;
       entries.push(entry);
     }
@@ -76,7 +80,8 @@ function frames(view: DataView, first: number, count: number, tiles: number, lod
 }
 
 function tileEntry(
-  view: DataView, frame: number, tile: number, at: number, sizesAt: number, crcsAfter: number, lods: number, offset: number, what: string,
+  view: DataView, frame: number, tile: number, [at, sizesAt, crcsAfter]: readonly [number, number, number],
+  lods: number, offset: number, what: string,
 ): TileEntry {
   const [kind, span, splats] = [view.getUint8(at), view.getUint8(at + 1), view.getUint32(at + 10, true)];
   if (kind > UPDATE! || (kind === MOTION) !== span > 0 || splats > MAX_TILE_SPLATS) {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import cags_kernels
+from cags_common.bundle.codecs import MotionTile
 from cags_common.coding import rans
 from cags_common.errors import DecodeError
 from cags_common.motion.apply import Looks, MovingTile, Steps, evaluate, move_rows
@@ -120,6 +121,26 @@ def check_round_trip(case: Case, *, native: bool) -> None:
     if "fades" in case.options:
         assert fine.fades is not None
         assert np.array_equal(np.isfinite(fine.fades[:, 1]), case.options["fades"][:, 0] > 0)
+
+
+@given(cases(40), st.integers(1, LEVELS), st.integers(1, LEVELS))
+@FEW
+def test_levels_that_say_nothing_are_empty_and_need_not_come(case: Case, moves: int, turns: int) -> None:
+    told = {"moves": moves, "turns": turns}
+    payloads = replace(case, options=case.options | {"told": (moves, turns)}).encode(native=False)
+    count = max(levels for name, levels in told.items() if getattr(case, name) is not None)
+    assert [len(payload) > 0 for payload in payloads] == [level < count for level in range(LEVELS)]
+    tile = MotionTile(payloads[0])
+    for level in range(1, count):
+        assert tile.lod == level - 1
+        tile.add_layer(level, payloads[level])
+    assert tile.lod == LEVELS - 1
+    whole = decoded(payloads, native=False)
+    assert same(tile.chunk.moves, whole.moves)
+    assert same(tile.chunk.turns, whole.turns)
+    if count < LEVELS:
+        with pytest.raises(DecodeError, match="too much"):
+            decoded((*payloads[:count], b"more"), native=False)
 
 
 @native_only

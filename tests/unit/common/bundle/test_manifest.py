@@ -60,7 +60,7 @@ def test_unknown_fields_are_left_alone() -> None:
 @pytest.mark.parametrize(
     ("fields", "says"),
     [
-        ({"version": 1}, "version 1 is unknown; this program reads 3, encode again"),
+        ({"version": 1}, "version 1 is unknown; this program reads 4, encode again"),
         ({"format": "zip"}, "is not a cags-bundle"),
         ({"frames": 0}, "frames = 0"),
         ({"frames": "5"}, "frames = '5' must be a whole number"),

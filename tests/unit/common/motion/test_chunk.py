@@ -165,10 +165,10 @@ def test_halved_units_move_half_as_far() -> None:
 
 def test_units_are_halved_within_bounds_alone() -> None:
     moves = np.zeros((2, 1, 3))
-    with pytest.raises(ValueError, match=r"halved \(9, 0\) times"):
-        encode((0, 0), moves, None, starts=True, finer=(9, 0))
+    with pytest.raises(ValueError, match=r"halved \(11, 0\) times"):
+        encode((0, 0), moves, None, starts=True, finer=(11, 0))
     payload = bytearray(encode((0, 0), moves, None, starts=True)[0])
-    payload[18] = 9
+    payload[18] = 11
     with pytest.raises(DecodeError, match="beyond bounds"):
         ChunkDecoder(bytes(payload))
 

@@ -45,7 +45,7 @@ def test_lines_of_any_life_are_within_a_unit_where_they_are_seen(starts: bool, l
     span = drifting(lives, 0.7, starts=starts)
     chunk = decoded(encode_span(span).payloads)
     assert chunk.moves is not None
-    off = np.abs((span.means - span.anchors) / STEP - chunk.moves / 64)
+    off = np.abs((span.means - span.anchors) / STEP - chunk.moves / 64 / 2 ** chunk.finer[0])
     seen = span.present[:, :, None] & (starts | (np.arange(SPAN + 1)[:, None, None] > 0))
     assert np.where(seen, off, 0.0).max() <= STRAIGHT + 0.5 + chunks.DEADZONES[-1]
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from cags_common.motion.chunk import LEVELS
-from cags_encoder.motion.chunks import exactness
+from cags_common.motion.chunk import LEVELS, REFINEMENT
+from cags_encoder.motion.chunks import BASE_LEVELS, COARSE, exactness
 from cags_encoder.motion.tolerance import Tolerance, Tolerances
 
 
@@ -16,14 +16,21 @@ def waves(size: float) -> tuple[np.ndarray, np.ndarray]:
 
 def test_what_quantised_looks_hide_is_told_by_the_usual_units() -> None:
     found = exactness(*waves(40.0), Tolerance(8.0, 0.5, 0.1), starts=True, turn=False)
-    assert (found.finer, found.told) == (0, LEVELS)
+    assert (found.finer, found.told, found.coarse) == (COARSE, BASE_LEVELS, False)
 
 
 def test_a_better_base_halves_the_units_and_leaves_out_what_it_makes_superfluous() -> None:
     usual = exactness(*waves(40.0), Tolerance(8.0, 0.5, 0.25), starts=True, turn=False)
     fine = exactness(*waves(40.0), Tolerance(0.5, 0.5, 0.25), starts=True, turn=False)
     assert fine.finer > usual.finer
-    assert fine.told < usual.told
+    assert fine.told - fine.coarse < usual.told
+
+
+def test_a_base_finer_than_splats_comes_after_a_coarser_level() -> None:
+    fine = exactness(*waves(40.0), Tolerance(1.0, 0.01, 0.005), starts=True, turn=False)
+    assert fine.coarse
+    assert (fine.told, len(fine.deadzones)) == (LEVELS, LEVELS)
+    assert REFINEMENT ** (LEVELS - 1) * 2.0**-fine.finer <= REFINEMENT ** (BASE_LEVELS - 1), "not coarser than a splat"
 
 
 def test_motion_that_nobody_sees_is_told_by_one_level() -> None:

@@ -9,6 +9,7 @@ import pytest
 from cags_common.tiles.kinds import TileKind
 from cags_server.ratecontrol import Decision, Observation, TileView, create_rate_policy
 from cags_server.ratecontrol.base import UNBOUNDED_BYTES
+from cags_server.ratecontrol.utility import left_by
 
 FRAME = 20
 LOOKS = TileView(0, 0, 1, 50, (400, 60, 60, 60), weight=50.0, frames_left=30.0)
@@ -41,6 +42,14 @@ def test_motion_of_which_more_is_seen_than_of_its_looks_goes_with_them(policy: s
 @pytest.mark.parametrize("policy", ["utility", "paper"])
 def test_what_stands_still_is_moved_before_what_is_there_is_refined(policy: str) -> None:
     assert levels(decide(policy, 115, LOOKS, CHUNK)) == {(18, 1): (0, 1)}
+
+
+def test_empty_levels_of_motion_say_nothing_of_those_before() -> None:
+    """A chunk of two levels and one of which two more are empty are worth the same."""
+    padded = replace(CHUNK, lod_bytes=(*CHUNK.lod_bytes, 0, 0))
+    gains = (1.0, 0.5, 0.25, 0.125)
+    assert left_by(padded, gains)[:2] == left_by(CHUNK, gains)
+    assert left_by(padded, gains)[2:] == (gains[-1], gains[-1])
 
 
 @pytest.mark.parametrize("policy", POLICIES)
