@@ -9,11 +9,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cags_bench.cost.engine import Outcome, Point, Stage
-from cags_bench.cost.moments import Workbench
+from cags_bench.cost.moments import Workbench, psnr
 from cags_common import raster
 from cags_common.bundle import BundleReader
 from cags_common.bundle.player import BundlePlayer
-from cags_common.metrics import psnr
 from cags_common.raster.base import RenderOptions
 from cags_common.splats import Splats
 from cags_encoder import EncodeSettings, encode
@@ -41,7 +40,7 @@ class Coder:
         return out
 
     def judge(self, bundle: Path) -> Outcome:
-        """Bytes per splat and quality of the decoded key frame with all layers."""
+        """Bytes a splat and quality of the decoded key frame with all layers."""
         reader = BundleReader.open(str(bundle))
         try:
             sizes = [sum(tile.lod_bytes) for tile in reader.frame(0).tiles]
@@ -59,15 +58,22 @@ class Coder:
         return psnr(seen, truth)
 
 
-def coding_stages(bench: Workbench) -> list[Stage]:
-    """Encoder settings on one key frame, and decoding by number of layers."""
-    source = bench.moment.source
-    coder = Coder(source.take(slice(None, None, max(1, len(source) // SPLATS))), bench, Path(tempfile.mkdtemp()))
-    shipped = EncodeSettings()
+def coding_stages(bench: Workbench, scratch: Path) -> list[Stage]:
+    """Encoder settings on the moment's key frame, and decoding by number of layers.
+
+    Bundles are written to a new folder in ``scratch``.
+    """
+    source, shipped = bench.moment.source, EncodeSettings()
+    folder = Path(tempfile.mkdtemp(dir=scratch))
+    coder = Coder(source.take(slice(None, None, max(1, len(source) // SPLATS))), bench, folder)
     quantisers = [(name, replace(shipped, quantiser=name)) for name in QUANTISERS]
-    own = quantiser_config(shipped.quantiser).position_step
-    steps = [(f"1/{n}", shipped if 1 / n == own else replace(shipped, position_step=1 / n)) for n in (1, 2, 4, 8, 16)]
-    samples = [(str(n), replace(shipped, train_splats=n)) for n in (1024, 4096, 16_384, 65_536)]
+    own = shipped.position_step or quantiser_config(shipped.quantiser).position_step
+    steps = [
+        (f"1/{round(1 / step)}", shipped if step == own else replace(shipped, position_step=step))
+        for step in sorted({1.0, 1 / 2, 1 / 4, 1 / 8, 1 / 16, own}, reverse=True)
+    ]
+    sizes = sorted({1024, 4096, 16_384, shipped.train_splats})
+    samples = [(str(n), replace(shipped, train_splats=n)) for n in sizes]
     return [
         _encoding(coder, "positions", "step in splat radii", steps, shipped),
         _encoding(coder, "quantiser", "configuration", quantisers, shipped),
@@ -83,7 +89,7 @@ def _encoding(
         return lambda: coder.encode(settings)
 
     points = tuple(Point(label, run_of(s), coder.judge, default=s == shipped) for label, s in choices)
-    return Stage(name, knob, "encoder", "psnr_db", points, repetitions=1)
+    return Stage(name, knob, "encoder", "psnr_db", points, costs=("bytes_per_splat",), sized=False, warm=False)
 
 
 def _depth(coder: Coder) -> Stage:
@@ -93,7 +99,9 @@ def _depth(coder: Coder) -> Stage:
     reader = BundleReader.open(str(kept))
     top = len(reader.manifest.lod_order)
 
-    def point(lod: int) -> Point:
+    def point(share: float) -> Point:
+        lod = round(top * share)
+
         def run() -> Splats:
             return BundlePlayer(reader, lod).frame(0).splats
 
@@ -101,7 +109,8 @@ def _depth(coder: Coder) -> Stage:
             sizes = [sum(tile.lod_bytes[: lod + 1]) for tile in reader.frame(0).tiles]
             return {"bytes_per_splat": sum(sizes) / len(coder.splats), "psnr_db": coder.quality(decoded)}
 
-        return Point(f"LoD {lod}", run, judge, default=lod == top)
+        label = {0.0: "base alone", 1.0: "all"}.get(share, f"{share:.0%} of the layers")
+        return Point(label, run, judge, default=share == 1)
 
-    depths = sorted({round(top * share) for share in (0, 0.25, 0.5, 0.75, 1)})
-    return Stage("decoding", "depth", "client", "psnr_db", tuple(map(point, depths)))
+    points = tuple(map(point, (0.0, 0.25, 0.5, 0.75, 1.0)))
+    return Stage("decoding", "LoD", "client", "psnr_db", points, costs=("bytes_per_splat",), sized=False)
