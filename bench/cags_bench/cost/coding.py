@@ -13,7 +13,8 @@ from cags_bench.cost.moments import Workbench, psnr
 from cags_common import raster
 from cags_common.bundle import BundleReader
 from cags_common.bundle.player import BundlePlayer
-from cags_common.raster.base import RenderOptions
+from cags_common.geometry import F32, Camera
+from cags_common.raster.base import RasterScene, RenderOptions
 from cags_common.splats import Splats
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.pipeline import SplatSequence
@@ -22,6 +23,8 @@ from cags_encoder.settings import QUANTISERS
 
 SPLATS = 20_000
 """Codec stages encode at most this many splats (every n-th of the scene); results are per splat."""
+
+COSTS = ("bytes_per_splat",)
 
 
 @dataclass(frozen=True)
@@ -39,27 +42,35 @@ class Coder:
         encode(SplatSequence((self.splats,)), settings, str(out))
         return out
 
-    def judge(self, bundle: Path) -> Outcome:
-        """Bytes a splat and quality of the decoded key frame with all layers."""
+    def judge(self, bundle: Path) -> list[Outcome]:
+        """Bytes a splat and quality of the decoded key frame with all layers, for each moment."""
         reader = BundleReader.open(str(bundle))
         try:
             sizes = [sum(tile.lod_bytes) for tile in reader.frame(0).tiles]
             decoded = BundlePlayer(reader).frame(0).splats
         finally:
             reader.close()
-        return {"bytes_per_splat": sum(sizes) / len(self.splats), "psnr_db": self.quality(decoded)}
+        return self.outcomes(sum(sizes), decoded)
 
-    def quality(self, decoded: Splats) -> float:
-        """PSNR of the decoded splats' picture against that of the originals."""
-        camera = self.bench.moment.camera
-        truth, seen = (
-            raster.create("auto").load(s).render(camera, RenderOptions()).rgb for s in (self.splats, decoded)
-        )
-        return psnr(seen, truth)
+    def outcomes(self, size_bytes: int, decoded: Splats) -> list[Outcome]:
+        """Bytes a splat, and PSNR of the decoded splats' picture against that of the originals, for each moment."""
+        rasteriser = raster.create("auto")
+        truth, seen = rasteriser.load(self.splats), rasteriser.load(decoded)
+        return [
+            {
+                "bytes_per_splat": size_bytes / len(self.splats),
+                "psnr_db": psnr(*self._views(seen, truth, moment.camera)),
+            }
+            for moment in self.bench.moments
+        ]
+
+    @staticmethod
+    def _views(seen: RasterScene, truth: RasterScene, camera: Camera) -> tuple[F32, F32]:
+        return seen.render(camera, RenderOptions()).rgb, truth.render(camera, RenderOptions()).rgb
 
 
 def coding_stages(bench: Workbench, scratch: Path) -> list[Stage]:
-    """Encoder settings on the moment's key frame, and decoding by number of layers.
+    """Encoder settings on the moment's key frame, and decoding by number of layers, seen from all moments' cameras.
 
     Bundles are written to a new folder in ``scratch``.
     """
@@ -89,7 +100,9 @@ def _encoding(
         return lambda: coder.encode(settings)
 
     points = tuple(Point(label, run_of(s), coder.judge, default=s == shipped) for label, s in choices)
-    return Stage(name, knob, "encoder", "psnr_db", points, costs=("bytes_per_splat",), sized=False, warm=False)
+    return Stage(
+        name, knob, "encoder", "psnr_db", points, costs=COSTS, sized=False, moments=coder.bench.keys, warm=False
+    )
 
 
 def _depth(coder: Coder) -> Stage:
@@ -105,12 +118,12 @@ def _depth(coder: Coder) -> Stage:
         def run() -> Splats:
             return BundlePlayer(reader, lod).frame(0).splats
 
-        def judge(decoded: Splats) -> Outcome:
+        def judge(decoded: Splats) -> list[Outcome]:
             sizes = [sum(tile.lod_bytes[: lod + 1]) for tile in reader.frame(0).tiles]
-            return {"bytes_per_splat": sum(sizes) / len(coder.splats), "psnr_db": coder.quality(decoded)}
+            return coder.outcomes(sum(sizes), decoded)
 
         label = {0.0: "base alone", 1.0: "all"}.get(share, f"{share:.0%} of the layers")
         return Point(label, run, judge, default=share == 1)
 
     points = tuple(map(point, (0.0, 0.25, 0.5, 0.75, 1.0)))
-    return Stage("decoding", "LoD", "client", "psnr_db", points, costs=("bytes_per_splat",), sized=False)
+    return Stage("decoding", "LoD", "client", "psnr_db", points, costs=COSTS, sized=False, moments=coder.bench.keys)

@@ -20,7 +20,8 @@ class Point:
 
     label: str
     run: Callable[[], Any]
-    judge: Callable[[Any], Outcome]
+    judge: Callable[[Any], Outcome | Sequence[Outcome]]
+    """One outcome, or one for each of the stage's ``moments``."""
     default: bool = False
     """Whether this is the product's default."""
 
@@ -43,6 +44,8 @@ class Stage:
     """Keys of other figures that are better when lower and count beside time."""
     sized: bool = True
     """Whether the work depends on the picture's size; if not, it is measured at the first size alone."""
+    moments: tuple[Hashable, ...] = ()
+    """Moments that are judged, if not only the one that is measured: an encoding is seen from several cameras."""
     warm: bool = True
     """Whether a run precedes the timed ones. Encodings take seconds: they run once, and that run is timed."""
 
@@ -110,7 +113,7 @@ def measure(
     total, done = len(made) + repetitions * len(timed), 0
     for point, one in made:
         taken_ms, result = _timed(point)
-        one.outcomes[moment] = point.judge(result)
+        one.outcomes |= _by_moment(point.judge(result), one.stage.moments or (moment,))
         one.times_ms[moment] = [] if one.stage.warm else [taken_ms]
         on_step(done := done + 1, total)
     for _ in range(repetitions):
@@ -118,6 +121,10 @@ def measure(
             one.times_ms[moment].append(_timed(point)[0])
             on_step(done := done + 1, total)
     return [one for _, one in made]
+
+
+def _by_moment(judged: Outcome | Sequence[Outcome], moments: Sequence[Hashable]) -> dict[Hashable, Outcome]:
+    return dict(zip(moments, [judged] if isinstance(judged, dict) else judged, strict=True))
 
 
 def _timed(point: Point) -> tuple[float, Any]:

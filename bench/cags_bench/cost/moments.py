@@ -81,9 +81,14 @@ class Workbench:
         return self.moments[self.at]
 
     @property
+    def keys(self) -> tuple[Hashable, ...]:
+        """Names of the moments among those of all scenes; the same for every size."""
+        return tuple((self.number, at) for at in range(len(self.moments)))
+
+    @property
     def key(self) -> Hashable:
-        """Names the moment among those of all scenes; the same for every size."""
-        return self.number, self.at
+        """Name of the moment that is measured."""
+        return self.keys[self.at]
 
     @property
     def walk_seed(self) -> int:
@@ -105,7 +110,7 @@ def bundle_of(scene: str, settings: CostSettings, encode: EncodeSettings | None 
 
 def link_of(bundle: Path, settings: CostSettings) -> str:
     """The trace with the rates for this scene."""
-    return str(scaled_trace(settings.trace, link_share(bundle, LIKE_SPLATS), LINK_S))
+    return str(scaled_trace(settings.trace, settings.share * link_share(bundle, LIKE_SPLATS), LINK_S))
 
 
 def capture(settings: CostSettings, number: int, scene: str, size: Size) -> Workbench:
@@ -125,7 +130,8 @@ def capture(settings: CostSettings, number: int, scene: str, size: Size) -> Work
     simulate(scenario, watch)
     if not kept:
         raise ConfigError(
-            f"trace = {settings.trace!r}: all of {scene} arrives at once, so no reference is used; give a slower trace"
+            f"trace = {settings.trace!r}: all of {scene} arrives at once, so no reference is used; give a slower one, "
+            "or a smaller --share"
         )
     chosen = _evenly(kept, settings.moments)
     truth = BundleTruth(str(bundle), replace(client, exactness="exact"))

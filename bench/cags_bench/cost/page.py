@@ -23,12 +23,16 @@ from cags_bench.cost.comparing import (
     verdict,
 )
 from cags_bench.cost.engine import Measured
+from cags_bench.cost.moments import LIKE_SPLATS
 from cags_bench.cost.settings import CostSettings
 from cags_bench.jsonl import JsonObject, dump, provenance
 from cags_bench.reproduce.marking import titles
 from cags_research.seen import uses
 
 Group = Sequence[Measured]
+
+WIDE = 20
+"""Ratio of times from which a plot's axis is logarithmic."""
 
 
 def write_page(out: Path, groups: Sequence[Group], checks: Sequence[JsonObject], settings: CostSettings) -> None:
@@ -51,9 +55,12 @@ def _intro(settings: CostSettings) -> str:
     seen = [f"{names[scene]}: {'; '.join(known)}" for scene in settings.scene_list if (known := uses("scene", scene))]
     before = f" Seen before the measurement: {html.escape('. '.join(seen))}." if seen else ""
     sizes = " and ".join(f"{width}x{height}" for width, height in settings.size_list)
+    link = (
+        f"{settings.share:g} of {settings.trace}, for {LIKE_SPLATS:,} splats and the same bits a splat for each scene"
+    )
     return (
-        f"<p>Scenes: {html.escape(scenes)}; {sizes} pixels; link {html.escape(settings.trace)} for 60,000 splats, the "
-        f"same bits a splat for each scene; head motion {html.escape(settings.poses)}.{before}</p>"
+        f"<p>Scenes: {html.escape(scenes)}; {sizes} pixels; link: {html.escape(link)}; head motion: "
+        f"{html.escape(settings.poses)}.{before}</p>"
         f"<p class=note>Each point is run and judged at {settings.moments} moments of a session of every scene, "
         "interleaved with all others. Quality is the mean with its 95 % interval (Student's t); the gain over the "
         "default is paired by moment, and a point is called better or worse only where that interval excludes zero. "
@@ -139,7 +146,7 @@ def _table(group: Group) -> str:
         compared = default is not None and default is not one
         found = quality_of(one)
         cells: list[Any] = [one.label, one.median_ms, one.spread_ms]
-        cells += [_times(one, default, TIME) if compared else "", one.quality, (found.high - found.low) / 2]
+        cells += [_times(one, default, TIME) if compared else "", one.quality, _half(found)]
         cells += [_gain(gain(one, default)) if default is not None and compared else ""]
         for key in others:
             value = html.short(one.mean(key))
@@ -151,6 +158,12 @@ def _table(group: Group) -> str:
     )
     size = f"<h3>{group[0].size}</h3>" if group[0].size else ""
     return size + html.table(columns, rows, (one.default for one in group)) + f"<ul>{costs}</ul>"
+
+
+def _half(found: Interval) -> float | None:
+    """Half the width of a bounded interval."""
+    half = (found.high - found.low) / 2
+    return half if math.isfinite(half) else None
 
 
 def _times(one: Measured, default: Measured | None, cost: str) -> str:
@@ -178,6 +191,8 @@ def _plot(group: Group) -> str:
         marker = "*" if one.default else "."
         axes.errorbar(*at, yerr=up, xerr=along, fmt=marker, color="tab:red", ms=11, elinewidth=0.8, alpha=0.8)
         axes.annotate(one.label.partition(":")[0], at, fontsize=7, xytext=(4, 4), textcoords="offset points")
+    if max(one.median_ms for one in group) > WIDE * min(one.median_ms for one in group) > 0:
+        axes.set_xscale("log")
     axes.set_xlabel("ms" + (f", {size}" if size else ""))
     axes.set_ylabel(key)
     return html.picture(figure, f"{key} against time" + (f" at {size}" if size else ""))

@@ -28,6 +28,7 @@ class CostSettings:
         "network trace for 60,000 splats, scaled so that every scene gets the same bits a splat; it must be slow "
         "enough that references are used",
     )
+    share: float = setting(1.0, "factor on the trace's rates", low=1e-3, high=10)
     poses: str = setting("synthetic:walking", "head motion")
     seeds: int = setting(
         1,

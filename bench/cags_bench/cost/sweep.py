@@ -61,9 +61,10 @@ def _moments(settings: CostSettings) -> Iterator[list[Measured]]:
 
 
 def _stages(bench: Workbench, scratch: Path, *, sized: bool) -> list[Stage]:
-    """Stages of a moment whose work depends on the picture's size, or the others."""
+    """Stages of a moment whose work depends on the picture's size, or the others; a scene is encoded once."""
     if not sized:
-        return [*looking_stages(bench), *shrinking_stages(bench), *coding_stages(bench, scratch)]
+        of_scene = [] if bench.at else coding_stages(bench, scratch)
+        return [*looking_stages(bench), *shrinking_stages(bench), *of_scene]
     return [
         *drawing_stages(bench),
         *reference_stages(bench),

@@ -100,6 +100,13 @@ def test_what_takes_seconds_runs_once_and_that_is_timed():
     assert steps == [(1, 1)]
 
 
+def test_an_encoding_is_judged_at_several_moments():
+    point = Point("a", lambda: 30.0, lambda db: [{"psnr_db": db}, {"psnr_db": db + 1}])
+    (one,) = measure([Stage("s", "k", "encoder", "psnr_db", (point,), moments=(4, 5))], 4, "", 1, lambda *_: None)
+    assert one.outcomes == {4: {"psnr_db": 30.0}, 5: {"psnr_db": 31.0}}
+    assert list(one.times_ms) == [4]
+
+
 def test_moments_are_gathered_by_stage_size_and_point():
     point = Point("a", lambda: None, lambda _: {"psnr_db": 1.0}, default=True)
     stage = Stage("s", "k", "client", "psnr_db", (point,))
