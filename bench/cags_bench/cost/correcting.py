@@ -33,12 +33,10 @@ def correcting_stages(bench: Workbench) -> list[Stage]:
     return [_methods(bench.moment), _whole_frame(bench.moment)]
 
 
-def _received(moment: Moment, kind: str) -> tuple[Referring, Received]:
-    """A reference as received by the client."""
+def _received(moment: Moment, kind: str) -> tuple[Referring, Received | None]:
+    """A reference as received by the client; None if the server finds nothing to say."""
     referring = Referring(moment, ServerSettings(references=kind))
-    reference = referring.received(referring.made())
-    assert reference is not None, "the held splats need correction"
-    return referring, reference
+    return referring, referring.received(referring.made())
 
 
 def _judge(moment: Moment) -> Callable[[F32], Outcome]:
@@ -52,18 +50,20 @@ def _methods(moment: Moment) -> Stage:
     for kind in (ReferenceKind.DIFFERENCE.value, ReferenceKind.PICTURE.value):
         referring, reference = _received(moment, kind)
 
-        def correct(referring: Referring = referring, reference: Received = reference) -> F32:
+        def correct(referring: Referring = referring, reference: Received | None = reference) -> F32:
             return referring.corrected(reference, view)
 
         default = SHIPPED.restore == CORRECT and kind == DIFFERENCES.references
         points.append(Point(f"{CORRECT}, {kind}", correct, judge, default))
-    picture, aligner, depth = reference.picture, align.create(SHIPPED.align), view.depth
-    assert picture is not None
+    picture = None if reference is None else reference.picture
+    aligner, depth = align.create(SHIPPED.align), view.depth
     assert depth is not None
     for name in RESTORERS:
         restorer = restore.create(name)
 
         def restored(restorer: restore.Restorer = restorer) -> F32:
+            if picture is None:
+                return view.rgb
             aligned = aligner.align(picture, depth, moment.camera, colours=True)
             return restorer.restore(RestoreInput(view.rgb, aligned, moment.level))
 
@@ -73,16 +73,20 @@ def _methods(moment: Moment) -> Stage:
 
 def _whole_frame(moment: Moment) -> Stage:
     """Draw and correct with every combination of exactness, resolution and correction; judged by the picture shown."""
-    _, reference = _received(moment, DIFFERENCES.references)
+    _, received = _received(moment, DIFFERENCES.references)
+    reference = None if received is None else received.reference
     points = tuple(
-        _combination(moment, reference.reference, exactness, resolution, method)
+        _combination(moment, reference, exactness, resolution, method)
         for exactness, resolution, method in product(Exactness, (HALF, FULL), (NONE, CORRECT))
     )
     knob = "exactness / resolution / correction"
     return Stage("client frame", knob, "client", "corrected_psnr_db", points)
 
 
-def _combination(moment: Moment, reference: Reference, exactness: Exactness, resolution: str, method: str) -> Point:
+def _combination(
+    moment: Moment, reference: Reference | None, exactness: Exactness, resolution: str, method: str
+) -> Point:
+    """The reference is None where there is nothing to correct."""
     corrector = correction.create("auto", SHIPPED.threads)
     half = resolution == HALF
     camera = halved(moment.camera) if half else moment.camera
@@ -92,7 +96,7 @@ def _combination(moment: Moment, reference: Reference, exactness: Exactness, res
 
     def run() -> F32:
         view = moment.held.render(camera, options)
-        shown = view.rgb if method == NONE else corrector.correct(view, camera, reference).rgb
+        shown = view.rgb if method == NONE or reference is None else corrector.correct(view, camera, reference).rgb
         return enlarged(shown, moment.camera, SHIPPED.threads) if half else shown
 
     defaults = SHIPPED.exactness, FULL if SHIPPED.resolution == AUTO else SHIPPED.resolution, SHIPPED.restore

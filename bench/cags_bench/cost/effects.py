@@ -22,7 +22,7 @@ from cags_common.raster import create
 from cags_common.raster.base import Footprint, RenderOptions
 from cags_protocol.wire.limits import PROTOCOL_VERSION
 from cags_protocol.wire.messages import FrameEnd, Hello, Mark, ReferenceFrame, ReferenceKind, TileLayers
-from cags_server.reference.coder import ReferenceCoder
+from cags_server.reference.coder import Coded, ReferenceCoder
 
 IN_PART, WHOLE = "effects, scene held in part", "effects, whole scene held"
 """Names of the stages."""
@@ -101,12 +101,24 @@ def _refer(pipeline: ClientPipeline, reader: BundleReader, bench: Workbench, lod
     pipeline.on_mark(Mark(basis))
     camera = bench.moment.reference_camera
     reference_camera = Camera(camera.intrinsics, camera.pose, reader.manifest.near)
-    if lods == reader.manifest.lods:
-        message = ReferenceFrame(
-            0, 0, reference_camera.pose, reference_camera.intrinsics, kind=ReferenceKind.NOTHING.value, basis=basis
-        )
-        pipeline.on_reference(message, memoryview(b""))
-        return
+    whole = lods == reader.manifest.lods
+    coded = Coded(ReferenceKind.NOTHING) if whole else _coded(reader, bench, lods, reference_camera)
+    says = coded.kind is not ReferenceKind.NOTHING
+    message = ReferenceFrame(
+        0,
+        int(says),
+        reference_camera.pose,
+        reference_camera.intrinsics,
+        idr=says,
+        kind=coded.kind.value,
+        basis=basis,
+        knee=coded.knee,
+    )
+    pipeline.on_reference(message, memoryview(coded.access_unit))
+
+
+def _coded(reader: BundleReader, bench: Workbench, lods: int, reference_camera: Camera) -> Coded:
+    """The first frame's reference for a client that holds ``lods`` levels."""
     held = BundlePlayer(reader, lods - 1).frame(0).splats
     options = RenderOptions(footprint=Footprint.of(bench.moment.camera.intrinsics, reference_camera.intrinsics))
     truth, own = (
@@ -114,9 +126,4 @@ def _refer(pipeline: ClientPipeline, reader: BundleReader, bench: Workbench, lod
         for splats in (reader.source(0).splats, held)
     )
     hello = Hello(PROTOCOL_VERSION, bench.moment.camera.intrinsics, reference_camera.pose)
-    coded = ReferenceCoder(DIFFERENCES, hello, reader.manifest.fps).code(truth, own, idr=True)
-    kind = coded.kind.value
-    message = ReferenceFrame(
-        0, 1, reference_camera.pose, reference_camera.intrinsics, idr=True, kind=kind, basis=basis, knee=coded.knee
-    )
-    pipeline.on_reference(message, memoryview(coded.access_unit))
+    return ReferenceCoder(DIFFERENCES, hello, reader.manifest.fps).code(truth, own, idr=True)

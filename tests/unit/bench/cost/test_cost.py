@@ -23,16 +23,22 @@ from cags_bench.cost.comparing import (
     pareto,
     verdict,
 )
+from cags_bench.cost.correcting import correcting_stages
 from cags_bench.cost.effects import IN_PART, WHOLE
 from cags_bench.cost.engine import BEST_DB, Measured, Point, Stage, gathered, measure
+from cags_bench.cost.moments import Moment, Workbench
 from cags_bench.cost.page import write_page
 from cags_bench.cost.plays import COSTS, Variant, choices, played
 from cags_bench.cost.settings import CostSettings
 from cags_bench.cost.sweep import checks_of
 from cags_bench.sim.session import SessionResult
 from cags_bench.sim.spent import Spent
+from cags_common import raster
 from cags_common.errors import ConfigError
+from cags_common.geometry import Camera, Intrinsics, Pose
+from cags_common.raster import RenderOptions
 from cags_encoder import EncodeSettings
+from cags_encoder.scenes import open_scene
 from cags_server.settings import ServerSettings
 
 SIZE = "640x480"
@@ -261,6 +267,23 @@ def test_a_session_is_judged_in_parts_of_frames():
     assert all(part["kb_a_frame"] == pytest.approx(1.0) and part["flicker"] == 2.0 for part in found.parts)
     assert {*COSTS, "server_ms", "client_ms"} <= set(found.parts[0])
     assert found.spent_ms == pytest.approx(1 + 2 + 3)
+
+
+def test_where_a_reference_has_nothing_to_say_the_clients_own_picture_stays(tmp_path):
+    source = open_scene("procedural:size=500,frames=1")
+    splats, rasteriser = source.frame(0), raster.create("auto")
+    eye = tuple(c + 2 * source.focus.radius for c in source.focus.centre)
+    camera = Camera(Intrinsics.of_fov(64, 48, 1.0, 0.8), Pose.looking_at(eye, source.focus.centre, source.up))
+    scene = rasteriser.load(splats)
+    truth = scene.render(camera, RenderOptions()).rgb.clip(0, 1)
+    moment = Moment(0, camera, camera, scene, rasteriser.load(splats), 1.0, truth, splats)
+    stages = correcting_stages(Workbench(tmp_path, 0, "synthetic:walking", (moment,)))
+    found = measure(stages, 0, SIZE, 1, lambda *_: None)
+    by_stage = {(one.stage.name, one.label): one.quality for one in found}
+    for method in ("none", "correct, difference"):
+        assert by_stage["correction", method] > 90
+    for method in ("none", "correct"):
+        assert by_stage["client frame", f"balanced / full / {method}"] > 90
 
 
 def frames_at(size: str, *points: tuple[str, float, float]) -> list[Measured]:
