@@ -20,17 +20,35 @@ HEADROOM = 0.8
 
 @dataclass(frozen=True)
 class Proposal:
-    """The best points that fit the budget."""
+    """The best points that fit the budget, at one picture size."""
 
     client: Measured
     server: Measured
 
     def line(self) -> dict[str, Any]:
         """The proposal as an entry of the summary."""
-        return {
-            side: {"point": one.point.label, "median_ms": one.median_ms, one.stage.quality: _quality(one)}
+        size: dict[str, Any] = {"size": self.client.size}
+        return size | {
+            side: {"point": one.label, "median_ms": one.median_ms, one.stage.quality: one.quality}
             for side, one in (("client", self.client), ("server", self.server))
         }
+
+
+def proposed(groups: Sequence[Sequence[Measured]], budget_ms: float) -> Proposal:
+    """The proposal for the largest picture size at which something fits. Raises :class:`ConfigError` if nothing does.
+
+    ``groups`` are in ascending order of size.
+    """
+    by_size = {(group[0].stage.name, group[0].size): group for group in groups}
+    sizes = [size for name, size in by_size if name == CLIENT_STAGE]
+    refusal: ConfigError | None = None
+    for size in reversed(sizes):
+        try:
+            return propose(by_size[CLIENT_STAGE, size], by_size[SERVER_STAGE, size], budget_ms)
+        except ConfigError as error:
+            refusal = error
+    assert refusal is not None, "a sweep has at least one size"
+    raise refusal
 
 
 def propose(client: Sequence[Measured], server: Sequence[Measured], budget_ms: float) -> Proposal:
@@ -43,31 +61,28 @@ def _best(points: Sequence[Measured], budget_ms: float) -> Measured:
     if not fitting:
         fastest = min(one.median_ms for one in points)
         raise ConfigError(
-            f"budget_ms = {budget_ms}: the fastest {points[0].stage.name} takes {fastest:.1f} ms, and "
-            f"{HEADROOM:.0%} of the budget is for drawing; give a larger budget, or a smaller --width and --height"
+            f"budget_ms = {budget_ms}: the fastest {points[0].stage.name} takes {fastest:.1f} ms at {points[0].size}, "
+            f"and {HEADROOM:.0%} of the budget is for drawing; give a larger budget, or a smaller one of --sizes"
         )
-    return max(fitting, key=lambda one: (_quality(one), -one.median_ms))
-
-
-def _quality(one: Measured) -> float:
-    return one.outcome[one.stage.quality]
+    return max(fitting, key=lambda one: (one.quality, -one.median_ms))
 
 
 def write_config(path: Path, proposal: Proposal, settings: CostSettings) -> None:
     """Write the proposal as TOML for ``cags-client --config`` and ``cags-server --config``."""
-    exactness, resolution, way = proposal.client.point.label.split(" / ")
-    size, crf = proposal.server.point.label.split(" / crf ")
-    width, height = size.split("x")
+    exactness, resolution, way = proposal.client.label.split(" / ")
+    size, crf = proposal.server.label.split(" / crf ")
+    (width, height), (reference_width, reference_height) = proposal.client.size.split("x"), size.split("x")
     path.write_text(
         f"# proposed by cags-bench cost --budget-ms {settings.budget_ms:g}\n\n"
         f"[client]  # {_summary(proposal.client)}\n"
-        f"width = {settings.width}\nheight = {settings.height}\n"
+        f"width = {width}\nheight = {height}\n"
         f'exactness = "{exactness}"\nresolution = "{resolution}"\nrestore = "{way}"\n\n'
         f"[server]  # {_summary(proposal.server)}\n"
-        f"reference_width = {width}\nreference_height = {height}\nreference_crf = {float(crf)}\n",
+        f"reference_width = {reference_width}\nreference_height = {reference_height}\n"
+        f"reference_crf = {float(crf)}\n",
         encoding="utf-8",
     )
 
 
 def _summary(one: Measured) -> str:
-    return f"{one.median_ms:.1f} ms a frame, {_quality(one):.2f} dB"
+    return f"{one.median_ms:.1f} ms a frame, {one.quality:.2f} dB"

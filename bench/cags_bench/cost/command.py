@@ -9,12 +9,15 @@ from typing import Any
 from cags_bench.cost.settings import CostSettings
 from cags_common.settings import add_settings, load_settings
 
-SUMMARY = "Measure the time and bytes of each step of accuracy, stage by stage, in one interleaved run."
+SUMMARY = (
+    "Measure the time and bytes of each step of accuracy, stage by stage and over whole sessions, with intervals and "
+    "gains over the defaults."
+)
 
 EXAMPLES = """\
   cags-bench cost --out cost-page
-  cags-bench cost --scene motion:plant.splat --width 1600 --height 1200 --json
-  cags-bench cost --budget-ms 33.3 --config-out client.toml
+  cags-bench cost --scenes "motion:plant.splat monkey-frames" --sizes 640x480,1600x1200 --json
+  cags-bench cost --seeds 0 --budget-ms 33.3 --config-out client.toml
 """
 
 

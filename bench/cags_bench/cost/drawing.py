@@ -4,17 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
 from cags_bench.cost.engine import Outcome, Point, Stage
-from cags_bench.cost.moments import Workbench
+from cags_bench.cost.moments import Workbench, psnr
+from cags_client.settings import HALF, ClientSettings
 from cags_common import raster
+from cags_common.errors import ConfigError
 from cags_common.geometry import F32, Camera
-from cags_common.metrics import psnr
-from cags_common.raster.base import DepthKind, Exactness, RasterScene, RenderedView, RenderOptions
+from cags_common.raster.base import DepthKind, Exactness, Rasteriser, RasterScene, RenderedView, RenderOptions
 
-BEST_DB = 99.0
+SHIPPED = ClientSettings()
+"""Defaults of the client."""
+
+OPTIONS = RenderOptions()
+"""Defaults of the rasteriser."""
 
 
 def drawing_stages(bench: Workbench) -> list[Stage]:
@@ -23,7 +29,7 @@ def drawing_stages(bench: Workbench) -> list[Stage]:
     scene = raster.create("auto").load(moment.source)
     best = scene.render(moment.camera, RenderOptions(exactness=Exactness.EXACT))
     return [
-        _exactness(scene, moment.camera, best),
+        _exactness(bench, scene, best),
         _sh_degree(scene, moment.camera, best),
         _depth_kind(bench),
         _threads(scene, moment.camera, best),
@@ -32,30 +38,58 @@ def drawing_stages(bench: Workbench) -> list[Stage]:
 
 
 def _against(best: RenderedView) -> Callable[[RenderedView], Outcome]:
-    return lambda view: {"psnr_db": min(psnr(view.rgb, best.rgb), BEST_DB)}
+    return lambda view: {"psnr_db": psnr(view.rgb, best.rgb)}
 
 
 def _render(scene: RasterScene, camera: Camera, options: RenderOptions) -> Callable[[], RenderedView]:
     return lambda: scene.render(camera, options)
 
 
-def _exactness(scene: RasterScene, camera: Camera, best: RenderedView) -> Stage:
-    points = tuple(
+@cache
+def graphics() -> tuple[str, Rasteriser] | str:
+    """Name of the graphics adapter and a rasteriser on it, or why there is none.
+
+    A software adapter is taken where there is no other; its name says so.
+    """
+    from cags_gpu.device import Gpu, choose
+    from cags_gpu.keeper import Keeper
+    from cags_gpu.raster import GpuRasteriser
+
+    try:
+        adapter, _ = choose(software=True)
+        return str(adapter), GpuRasteriser(Keeper(lambda: Gpu(software=True)))
+    except ConfigError as error:
+        return str(error)
+
+
+def _exactness(bench: Workbench, scene: RasterScene, best: RenderedView) -> Stage:
+    """Levels on the processor, and the default level on the graphics adapter where there is one."""
+    camera, judge = bench.moment.camera, _against(best)
+    on_processor = raster.chosen(SHIPPED.raster) != "gpu"
+    points = [
         Point(
-            level.value,
-            _render(scene, camera, RenderOptions(exactness=level)),
-            _against(best),
-            level is Exactness.BALANCED,
+            f"cpu, {level.value}",
+            _render(scene, camera, RenderOptions(exactness=level, threads=SHIPPED.threads)),
+            judge,
+            on_processor and level == SHIPPED.exactness,
         )
         for level in Exactness
-    )
-    return Stage("rasterise", "exactness", "client", "psnr_db", points)
+    ]
+    found = graphics()
+    if not isinstance(found, str):
+        adapter, rasteriser = found
+        label = f"gpu, {SHIPPED.exactness}: {adapter}"
+        options = RenderOptions(exactness=Exactness(SHIPPED.exactness))
+        run = _render(rasteriser.load(bench.moment.source), camera, options)
+        points.append(Point(label, run, judge, not on_processor))
+    return Stage("rasterise", "backend, exactness", "client", "psnr_db", tuple(points))
 
 
 def _sh_degree(scene: RasterScene, camera: Camera, best: RenderedView) -> Stage:
+    default = OPTIONS.max_sh_degree
     points = tuple(
-        Point(str(degree), _render(scene, camera, RenderOptions(max_sh_degree=degree)), _against(best), degree == 3)
-        for degree in range(4)
+        Point(str(n), _render(scene, camera, RenderOptions(max_sh_degree=n)), _against(best), n == default)
+        for n in sorted({0, 1, 2, 3, default})
     )
     return Stage("view-dependent colour", "max_sh_degree", "client", "psnr_db", points)
 
@@ -69,7 +103,8 @@ def _depth_kind(bench: Workbench) -> Stage:
     reference = referring.received(referring.made())
     held = moment.view()
     assert held.depth is not None
-    plane = np.full_like(held.depth, np.median(held.depth[np.isfinite(held.depth)]))  # no depth: one plane
+    seen_at = held.depth[np.isfinite(held.depth)]
+    plane = np.full_like(held.depth, np.median(seen_at) if len(seen_at) else 1.0)  # no depth: one plane
 
     def judge(view: RenderedView) -> Outcome:
         seen = replace(view, depth=plane if view.depth is None else view.depth)
@@ -80,7 +115,7 @@ def _depth_kind(bench: Workbench) -> Stage:
             kind.value,
             _render(moment.held, moment.camera, RenderOptions(depth=kind)),
             judge,
-            kind is DepthKind.EXPECTED,
+            kind is OPTIONS.depth,
         )
         for kind in DepthKind
     )
@@ -89,12 +124,14 @@ def _depth_kind(bench: Workbench) -> Stage:
 
 def _threads(scene: RasterScene, camera: Camera, best: RenderedView) -> Stage:
     points = tuple(
-        Point(str(n), _render(scene, camera, RenderOptions(threads=n)), _against(best), n == 2) for n in (1, 2, 4)
+        Point(str(n), _render(scene, camera, RenderOptions(threads=n)), _against(best), n == SHIPPED.threads)
+        for n in sorted({1, 2, 4, SHIPPED.threads})
     )
     return Stage("threads", "threads", "client", "psnr_db", points)
 
 
 def _picture_size(scene: RasterScene, camera: Camera, best: RenderedView) -> Stage:
+    """Smaller pictures, enlarged; the product draws the whole size, and half of it where that is too slow."""
     import cv2
 
     def point(divisor: int) -> Point:
@@ -108,8 +145,7 @@ def _picture_size(scene: RasterScene, camera: Camera, best: RenderedView) -> Sta
                 return rgb
             return np.asarray(cv2.resize(rgb, (camera.width_px, camera.height_px), interpolation=cv2.INTER_LINEAR))
 
-        return Point(
-            f"1/{divisor}", run, lambda rgb: {"psnr_db": min(psnr(rgb, best.rgb), BEST_DB)}, default=divisor == 1
-        )
+        return Point(f"1/{divisor}", run, lambda rgb: {"psnr_db": psnr(rgb, best.rgb)}, default=divisor == whole)
 
+    whole = 2 if SHIPPED.resolution == HALF else 1
     return Stage("picture size", "drawn at", "client", "psnr_db", (point(4), point(2), point(1)))

@@ -8,7 +8,7 @@ from statistics import median
 from typing import Any
 
 from cags_bench.cost.engine import Measured, Outcome, Point, Stage
-from cags_bench.cost.moments import JUDGED_LOD, Workbench
+from cags_bench.cost.moments import JUDGED_LOD, Workbench, psnr
 from cags_bench.cost.serving import DIFFERENCES
 from cags_bench.jsonl import check
 from cags_client.frame.pipeline import ClientPipeline
@@ -17,42 +17,42 @@ from cags_client.settings import ClientSettings
 from cags_common.bundle import BundleReader
 from cags_common.bundle.player import BundlePlayer
 from cags_common.geometry import Camera
-from cags_common.metrics import psnr
-from cags_common.passes import ALWAYS, NEEDED
+from cags_common.passes import ALWAYS, NEEDED, POLICIES
 from cags_common.raster import create
 from cags_common.raster.base import Footprint, RenderOptions
 from cags_protocol.wire.limits import PROTOCOL_VERSION
 from cags_protocol.wire.messages import FrameEnd, Hello, Mark, ReferenceFrame, ReferenceKind, TileLayers
-from cags_server.reference.coder import ReferenceCoder
+from cags_server.reference.coder import Coded, ReferenceCoder
 
-EFFECTS = "effects"
-"""Name of the stage."""
+IN_PART, WHOLE = "effects, scene held in part", "effects, whole scene held"
+"""Names of the stages."""
 
 MOST = 1.05
 """Largest ratio of times. They differ at most by a depth picture and a band of colours; 5 % may be noise."""
 
-DECISIONS = 5
+DECISIONS = 3
 """Number of frames for the time outside the stages."""
 
 
 def effect_stages(bench: Workbench) -> list[Stage]:
     """The first key frame, at a low level and complete, with all effects and with those needed."""
     reader = BundleReader.open(str(bench.bundle))
-    depths = {"in part": min(JUDGED_LOD, reader.manifest.lods - 1) + 1, "whole": reader.manifest.lods}
-    points = tuple(
-        _point(bench, reader, f"{policy}, {held}", policy, lods)
-        for held, lods in depths.items()
-        for policy in (ALWAYS, NEEDED)
-    )
-    return [Stage(EFFECTS, "policy, what is held", "client", "corrected_psnr_db", points)]
+    depths = {IN_PART: min(JUDGED_LOD, reader.manifest.lods - 1) + 1, WHOLE: reader.manifest.lods}
+    return [
+        Stage(name, "policy", "client", "corrected_psnr_db", tuple(_point(bench, reader, p, lods) for p in POLICIES))
+        for name, lods in depths.items()
+    ]
 
 
-def effect_checks(measured: Sequence[Measured]) -> list[dict[str, Any]]:
-    """Checks that an effect that is off costs no time, and that deciding costs little."""
-    by_label = {one.point.label: one for one in measured}
-    whole = {policy: by_label[f"{policy}, whole"] for policy in (ALWAYS, NEEDED)}
-    ratio = whole[NEEDED].median_ms / whole[ALWAYS].median_ms
-    outside = max(one.outcome["outside_ms"] for one in measured)
+def effect_checks(groups: Sequence[Sequence[Measured]]) -> list[dict[str, Any]]:
+    """Checks that an effect that is off costs no time, and that deciding costs little; the worst of all sizes."""
+    ratios = []
+    for group in groups:
+        if group[0].stage.name == WHOLE:
+            by_policy = {one.label: one.median_ms for one in group}
+            ratios.append(by_policy[NEEDED] / by_policy[ALWAYS])
+    every = [one for group in groups for one in group if group[0].stage.name in (IN_PART, WHOLE)]
+    ratio, outside = max(ratios), max(one.mean("outside_ms") for one in every)
     return [
         check(
             "whole scene: time of what is needed over that of everything", f"<= {MOST}", round(ratio, 3), ratio <= MOST
@@ -61,7 +61,7 @@ def effect_checks(measured: Sequence[Measured]) -> list[dict[str, Any]]:
     ]
 
 
-def _point(bench: Workbench, reader: BundleReader, label: str, policy: str, lods: int) -> Point:
+def _point(bench: Workbench, reader: BundleReader, policy: str, lods: int) -> Point:
     i = bench.moment.camera.intrinsics
     settings = ClientSettings(width=i.width_px, height=i.height_px, effects=policy)
     pipeline = ClientPipeline(reader.manifest, settings, clock=time.perf_counter)
@@ -75,7 +75,7 @@ def _point(bench: Workbench, reader: BundleReader, label: str, policy: str, lods
         outside = median(_outside_ms(pipeline, camera) for _ in range(DECISIONS))
         return {"corrected_psnr_db": psnr(shown.rgb, truth), "effects_on": len(shown.effects.on), "outside_ms": outside}
 
-    return Point(label, lambda: pipeline.present(0, camera), judge, default=label == f"{NEEDED}, in part")
+    return Point(policy, lambda: pipeline.present(0, camera), judge, default=policy == ClientSettings().effects)
 
 
 def _outside_ms(pipeline: ClientPipeline, camera: Camera) -> float:
@@ -101,12 +101,24 @@ def _refer(pipeline: ClientPipeline, reader: BundleReader, bench: Workbench, lod
     pipeline.on_mark(Mark(basis))
     camera = bench.moment.reference_camera
     reference_camera = Camera(camera.intrinsics, camera.pose, reader.manifest.near)
-    if lods == reader.manifest.lods:
-        message = ReferenceFrame(
-            0, 0, reference_camera.pose, reference_camera.intrinsics, kind=ReferenceKind.NOTHING.value, basis=basis
-        )
-        pipeline.on_reference(message, memoryview(b""))
-        return
+    whole = lods == reader.manifest.lods
+    coded = Coded(ReferenceKind.NOTHING) if whole else _coded(reader, bench, lods, reference_camera)
+    says = coded.kind is not ReferenceKind.NOTHING
+    message = ReferenceFrame(
+        0,
+        int(says),
+        reference_camera.pose,
+        reference_camera.intrinsics,
+        idr=says,
+        kind=coded.kind.value,
+        basis=basis,
+        knee=coded.knee,
+    )
+    pipeline.on_reference(message, memoryview(coded.access_unit))
+
+
+def _coded(reader: BundleReader, bench: Workbench, lods: int, reference_camera: Camera) -> Coded:
+    """The first frame's reference for a client that holds ``lods`` levels."""
     held = BundlePlayer(reader, lods - 1).frame(0).splats
     options = RenderOptions(footprint=Footprint.of(bench.moment.camera.intrinsics, reference_camera.intrinsics))
     truth, own = (
@@ -114,9 +126,4 @@ def _refer(pipeline: ClientPipeline, reader: BundleReader, bench: Workbench, lod
         for splats in (reader.source(0).splats, held)
     )
     hello = Hello(PROTOCOL_VERSION, bench.moment.camera.intrinsics, reference_camera.pose)
-    coded = ReferenceCoder(DIFFERENCES, hello, reader.manifest.fps).code(truth, own, idr=True)
-    kind = coded.kind.value
-    message = ReferenceFrame(
-        0, 1, reference_camera.pose, reference_camera.intrinsics, idr=True, kind=kind, basis=basis, knee=coded.knee
-    )
-    pipeline.on_reference(message, memoryview(coded.access_unit))
+    return ReferenceCoder(DIFFERENCES, hello, reader.manifest.fps).code(truth, own, idr=True)

@@ -3,95 +3,146 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cags_bench.cost.engine import Outcome, Point, Stage
+from cags_bench.cost.moments import Workbench
+from cags_bench.cost.serving import FPS
+from cags_bench.sim.seeds import walk_of
 from cags_common.geometry import Intrinsics, Pose, angle_between
-from cags_common.poses import Focus, open_poses
+from cags_common.poses import Focus
 from cags_protocol.wire.messages import PoseSample
+from cags_server.fov import FOV_POLICIES, FovObservation, FovPolicy, create_fov_policy
 from cags_server.fov.base import widened
+from cags_server.fov.truth import in_reference, view_rays
 from cags_server.predict import PREDICTORS, create_predictor
 from cags_server.predict.base import PoseDistribution
 from cags_server.predict.history import PoseHistory
+from cags_server.session.viewer import fov_options
+from cags_server.settings import ServerSettings
 
-HORIZON_US = 200_000
+SHIPPED = ServerSettings()
+"""Defaults of the server."""
+
+FRAME_US = round(1e6 / FPS)
+HORIZON_US = SHIPPED.lead_frames * FRAME_US
 POSE_PERIOD_US = 16_667
-STEPS = 40
+HISTORY_US = 2_000_000
+STEPS = 60
+"""Frames of a walk that are predicted at each moment."""
+
 POINT_DEPTH = 3.0
 """Depth in world units for measuring coverage."""
 
+FIXED = "fixed"
+"""Name of the policy with one margin."""
 
-def looking_stages(poses: str, client: Intrinsics) -> list[Stage]:
-    """Predictors, and fixed margins of the field of view with the default predictor."""
-    walk = open_poses(poses, Focus((0.0, 0.0, 0.0), 1.0, (0.0, 1.0, 0.0)), window_us=10_000_000)
-    starts = [1_000_000 + i * 200_000 for i in range(STEPS)]
-    histories = [_history_until(walk.pose_at, start) for start in starts]
-    truths = [walk.pose_at(history.newest.t_us + HORIZON_US) for history in histories]
-    predicted = [create_predictor("autoregressive").predict(h, HORIZON_US).pose for h in histories]
-    return [_predictors(histories, truths), _margins(predicted, truths, client)]
+
+@dataclass(frozen=True)
+class Walked:
+    """Part of a walk: what a server knows when it plans each frame, and the pose that follows."""
+
+    histories: Sequence[PoseHistory]
+    actual: Sequence[Pose]
+    """The viewer's pose when each frame is displayed."""
+
+    @classmethod
+    def along(cls, pose_at: Callable[[int], Pose]) -> Walked:
+        """:data:`STEPS` frames after two seconds of a walk."""
+        histories = [_history_until(pose_at, HISTORY_US + step * FRAME_US) for step in range(STEPS)]
+        return cls(histories, [pose_at(history.newest.t_us + HORIZON_US) for history in histories])
+
+
+def looking_stages(bench: Workbench) -> list[Stage]:
+    """Predictors, and margins of the field of view with the default predictor; on another walk at each moment."""
+    focus = Focus((0.0, 0.0, 0.0), 1.0, (0.0, 1.0, 0.0))
+    window_us = HISTORY_US + STEPS * FRAME_US + HORIZON_US
+    walked = Walked.along(walk_of(bench.poses, focus, window_us, bench.walk_seed).pose_at)
+    return [_predictors(walked), _margins(walked, bench.moment.camera.intrinsics)]
 
 
 def _history_until(pose_at: Callable[[int], Pose], end_us: int) -> PoseHistory:
-    times = range(max(0, end_us - 2_000_000), end_us, POSE_PERIOD_US)
+    times = range(end_us - HISTORY_US, end_us, POSE_PERIOD_US)
     return PoseHistory(PoseSample(t, pose_at(t)) for t in times)
 
 
-def _predictors(histories: list[PoseHistory], truths: list[Pose]) -> Stage:
+def _predictors(walked: Walked) -> Stage:
     def judge(found: list[PoseDistribution]) -> Outcome:
-        angles = [angle_between(f.pose.rotation, t.rotation) for f, t in zip(found, truths, strict=True)]
-        metres = [math.dist(f.pose.position, t.position) for f, t in zip(found, truths, strict=True)]
+        pairs = [(f.pose, actual) for f, actual in zip(found, walked.actual, strict=True)]
+        angles = [angle_between(ours.rotation, actual.rotation) for ours, actual in pairs]
         return {
             "error_deg": math.degrees(float(np.mean(angles))),
             "error_p95_deg": math.degrees(float(np.percentile(angles, 95))),
-            "error_position": float(np.mean(metres)),
-            "calls": len(found),
+            "error_position": float(np.mean([math.dist(ours.position, actual.position) for ours, actual in pairs])),
         }
 
     def point(name: str) -> Point:
         predictor = create_predictor(name)
-        return Point(
-            name, lambda: [predictor.predict(h, HORIZON_US) for h in histories], judge, default=name == "autoregressive"
-        )
 
-    return Stage("prediction", f"predictor, {STEPS} calls", "server", "error_deg", tuple(map(point, PREDICTORS)))
+        def run() -> list[PoseDistribution]:
+            return [predictor.predict(history, HORIZON_US) for history in walked.histories]
 
+        return Point(name, run, judge, default=name == SHIPPED.predictor)
 
-def _margins(predicted: list[Pose], truths: list[Pose], client: Intrinsics) -> Stage:
-    """Share of the client's view covered by the reference at one depth, and the area covered by its pixels."""
-    rays = _rays(client)
-
-    def point(margin: float) -> Point:
-        reference = widened(client, (margin, margin), 400, 300)
-
-        def run() -> float:
-            return float(np.mean([_covered(rays, t, p, reference) for p, t in zip(predicted, truths, strict=True)]))
-
-        area = math.prod(math.tan(f / 2) for f in reference.fov_rad) / math.prod(
-            math.tan(f / 2) for f in client.fov_rad
-        )
-        return Point(
-            f"+{margin:.0%}", run, lambda share: {"coverage": share, "area_ratio": area}, default=margin == 0.1
-        )
-
-    return Stage("field of view", "fixed margin", "server", "coverage", tuple(map(point, (0.0, 0.1, 0.2, 0.4))))
+    points = tuple(map(point, PREDICTORS.names()))
+    return Stage("prediction", f"predictor, {STEPS} calls", "server", "error_deg", points, sized=False)
 
 
-def _rays(client: Intrinsics) -> np.ndarray:
-    """[P, 3] points of the client's view at :data:`POINT_DEPTH`, camera frame."""
-    x, y = np.meshgrid(np.linspace(0, client.width_px, 24), np.linspace(0, client.height_px, 18))
-    directions = np.stack(
-        [(x - client.cx_px) / client.fx_px, (y - client.cy_px) / client.fy_px, np.ones_like(x)], axis=-1
-    )
-    return directions.reshape(-1, 3) * POINT_DEPTH
+def _margins(walked: Walked, client: Intrinsics) -> Stage:
+    """Share of the client's view that the reference covers at one depth, and the area that its pixels cover."""
+    predictor = create_predictor(SHIPPED.predictor)
+    predicted = [predictor.predict(history, HORIZON_US) for history in walked.histories]
+    rays = view_rays(client, 25, 19) * POINT_DEPTH
+
+    def judge(margins: list[tuple[float, float]]) -> Outcome:
+        covered, areas = [], []
+        for found, actual, margin in zip(predicted, walked.actual, margins, strict=True):
+            reference = widened(client, margin, SHIPPED.reference_width, SHIPPED.reference_height)
+            covered.append(_covered(in_reference(rays, actual, found.pose), reference))
+            areas.append(_area(reference) / _area(client))
+        return {"coverage": float(np.mean(covered)), "area_ratio": float(np.mean(areas))}
+
+    def point(label: str, settings: ServerSettings) -> Point:
+        def run() -> list[tuple[float, float]]:
+            policy = create_fov_policy(settings.fov, fov_options(settings))
+            return _scales(policy, predicted, walked.actual, client)
+
+        return Point(label, run, judge, default=settings == SHIPPED)
+
+    fixed = [replace(SHIPPED, fov=FIXED, fov_margin=m) for m in sorted({0.0, 0.1, 0.2, 0.4, SHIPPED.fov_margin})]
+    points = [point(f"{FIXED} +{settings.fov_margin:.0%}", settings) for settings in fixed]
+    points += [point(name, replace(SHIPPED, fov=name)) for name in FOV_POLICIES.names() if name != FIXED]
+    knob = f"policy, {STEPS} frames"
+    return Stage("field of view", knob, "server", "coverage", tuple(points), costs=("area_ratio",), sized=False)
 
 
-def _covered(points: np.ndarray, seen_from: Pose, rendered_from: Pose, reference: Intrinsics) -> float:
-    world = points @ seen_from.rotation_matrix.T + np.asarray(seen_from.position)
-    local = (world - np.asarray(rendered_from.position)) @ rendered_from.rotation_matrix
-    z = np.maximum(local[:, 2], 1e-9)
-    x = local[:, 0] / z * reference.fx_px + reference.cx_px
-    y = local[:, 1] / z * reference.fy_px + reference.cy_px
-    inside = (local[:, 2] > 0) & (x >= 0) & (x <= reference.width_px) & (y >= 0) & (y <= reference.height_px)
+def _scales(
+    policy: FovPolicy, predicted: Sequence[PoseDistribution], actual: Sequence[Pose], client: Intrinsics
+) -> list[tuple[float, float]]:
+    """Margins of every frame; a frame's true pose becomes known when it is displayed."""
+    out, flying = [], deque[int]()
+    for frame, found in enumerate(predicted):
+        if len(flying) == SHIPPED.lead_frames:
+            shown = flying.popleft()
+            policy.truth(shown, predicted[shown].pose, actual[shown], client)
+        out.append(policy.scale(FovObservation(frame, found, client)))
+        flying.append(frame)
+    return out
+
+
+def _area(view: Intrinsics) -> float:
+    """Area of a view on the plane at distance 1."""
+    return math.prod(math.tan(fov / 2) for fov in view.fov_rad)
+
+
+def _covered(points: np.ndarray, reference: Intrinsics) -> float:
+    """Share of ``points`` [N, 3], in the reference camera's axes, that its picture holds."""
+    z = np.maximum(points[:, 2], 1e-9)
+    x = points[:, 0] / z * reference.fx_px + reference.cx_px
+    y = points[:, 1] / z * reference.fy_px + reference.cy_px
+    inside = (points[:, 2] > 0) & (x >= 0) & (x <= reference.width_px) & (y >= 0) & (y <= reference.height_px)
     return float(inside.mean())

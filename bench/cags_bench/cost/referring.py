@@ -7,23 +7,24 @@ from itertools import product
 from typing import Any
 
 from cags_bench.cost.engine import Outcome, Point, Stage
-from cags_bench.cost.moments import Moment, Workbench
+from cags_bench.cost.moments import Moment, Workbench, psnr
 from cags_bench.cost.serving import DIFFERENCES, Referring
-from cags_common.metrics import psnr
 from cags_common.raster.base import Footprint
 from cags_common.video.colour import Chroma
 from cags_server.reference.coder import Coded
-from cags_server.settings import ServerSettings
+from cags_server.settings import CLIENT, PLAIN, ServerSettings
 
 SHIPPED = ServerSettings()
 SHIPPED_SIZE = SHIPPED.reference_width, SHIPPED.reference_height
 SHIPPED_CHROMA = Chroma(SHIPPED.reference_chroma)
 """Defaults of the server."""
 
+CHROMA_NAMES = {Chroma.HALF: "4:2:0", Chroma.FULL: "4:4:4"}
+
 KINDS = ("none", "picture", "difference")
-SIZES = ((200, 150), (400, 300), (800, 600))
-CRFS = (34.0, 28.0, 24.0, 20.0, 16.0)
-COMBINED_CRFS = (28.0, 20.0, 16.0)
+SIZES = sorted({(200, 150), (400, 300), (800, 600), SHIPPED_SIZE})
+CRFS = sorted({34.0, 28.0, 24.0, 20.0, 16.0, SHIPPED.reference_crf}, reverse=True)
+COMBINED_CRFS = sorted({28.0, 20.0, 16.0, SHIPPED.reference_crf}, reverse=True)
 
 
 def reference_stages(bench: Workbench) -> list[Stage]:
@@ -52,8 +53,8 @@ def _point(referring: Referring, label: str, *, default: bool, drawn_once: bool 
     return Point(label, run, judge, default)
 
 
-def _stage(name: str, knob: str, points: tuple[Point, ...], repetitions: int = 5) -> Stage:
-    return Stage(name, knob, "server", "corrected_psnr_db", points, repetitions)
+def _stage(name: str, knob: str, points: tuple[Point, ...]) -> Stage:
+    return Stage(name, knob, "server", "corrected_psnr_db", points, costs=("bytes",))
 
 
 def _changed(moment: Moment, **changes: Any) -> Referring:
@@ -76,9 +77,9 @@ def _size(moment: Moment) -> Stage:
 
 
 def _footprint(moment: Moment) -> Stage:
-    kinds = {"plain": Footprint.classic(), "client": None}
+    kinds = {PLAIN: Footprint.classic(), CLIENT: None}
     points = tuple(
-        _point(Referring(moment, footprint=footprint), name, default=footprint is None)
+        _point(Referring(moment, footprint=footprint), name, default=name == SHIPPED.reference_footprint)
         for name, footprint in kinds.items()
     )
     return _stage("reference footprint", "footprint", points)
@@ -95,12 +96,8 @@ def _quality(moment: Moment) -> Stage:
 
 
 def _chroma(moment: Moment) -> Stage:
-    choices = (
-        ("4:2:0 crf 24", 24.0, Chroma.HALF),
-        ("4:2:0 crf 20", 20.0, Chroma.HALF),
-        ("4:4:4 crf 20", 20.0, Chroma.FULL),
-        ("4:4:4 crf 24", 24.0, Chroma.FULL),
-    )
+    crfs = sorted({24.0, SHIPPED.reference_crf}, reverse=True)
+    choices = [(f"{CHROMA_NAMES[chroma]} crf {crf:g}", crf, chroma) for chroma in Chroma for crf in crfs]
     points = tuple(
         _point(
             _changed(moment, reference_crf=crf, reference_chroma=chroma.value),
@@ -123,4 +120,4 @@ def _whole_reference(moment: Moment) -> Stage:
         )
         for (w, h), crf in product(SIZES, COMBINED_CRFS)
     )
-    return _stage("whole reference", "size / quality", points, repetitions=3)
+    return _stage("whole reference", "size / quality", points)

@@ -8,14 +8,14 @@ import DracoPy
 import numpy as np
 
 from cags_bench.cost.engine import Outcome, Point, Stage
-from cags_bench.cost.moments import Workbench
+from cags_bench.cost.moments import Workbench, psnr
 from cags_common import raster
 from cags_common.geometry import F32, Camera
-from cags_common.metrics import psnr
 from cags_common.raster.base import RasterScene, RenderedView, RenderOptions
 from cags_common.splats import Splats
 from cags_common.tiles.morton import morton_order
 from cags_common.tiles.payloads import DRACO_LEVEL
+from cags_encoder import EncodeSettings
 from cags_encoder.quantiser.kmeans import ITERATIONS, NearestCentre, kmeans
 
 TILE_SPLATS = 8_000
@@ -24,9 +24,14 @@ CLUSTERS = 256
 
 
 def shrinking_stages(bench: Workbench) -> list[Stage]:
-    """All stages of this module."""
+    """Stages that do not draw."""
     splats = bench.moment.source
-    return [_draco_level(splats), _kmeans_steps(splats), _pruning(bench)]
+    return [_draco_level(splats), _kmeans_steps(splats)]
+
+
+def pruning_stages(bench: Workbench) -> list[Stage]:
+    """Drawing without splats."""
+    return [_pruning(bench)]
 
 
 def _draco_level(splats: Splats) -> Stage:
@@ -53,8 +58,10 @@ def _draco_level(splats: Splats) -> Stage:
     def judge(data: bytes) -> Outcome:
         return {"bytes_per_splat": len(data) / len(cells)}
 
-    points = tuple(Point(str(n), coder(n), judge, default=n == DRACO_LEVEL) for n in (0, 3, 5, 7, 10))
-    return Stage("Draco", "compression level", "encoder, client", "bytes_per_splat", points)
+    points = tuple(
+        Point(str(n), coder(n), judge, default=n == DRACO_LEVEL) for n in sorted({0, 3, 5, 7, 10, DRACO_LEVEL})
+    )
+    return Stage("Draco", "compression level", "encoder, client", "bytes_per_splat", points, sized=False)
 
 
 def _kmeans_steps(splats: Splats) -> Stage:
@@ -67,8 +74,11 @@ def _kmeans_steps(splats: Splats) -> Stage:
         nearest = centres[NearestCentre(centres)(scales)]
         return {"error_rms": float(np.sqrt(np.mean(np.square(nearest - scales, dtype=np.float64))))}
 
-    points = tuple(Point(str(n), trainer(n), judge, default=n == ITERATIONS) for n in (2, 5, 10, 20, 40))
-    return Stage("k-means", f"Lloyd steps, {CLUSTERS} centres of scale", "encoder", "error_rms", points, repetitions=3)
+    points = tuple(
+        Point(str(n), trainer(n), judge, default=n == ITERATIONS) for n in sorted({2, 5, 10, 20, 40, ITERATIONS})
+    )
+    knob = f"Lloyd steps, {CLUSTERS} centres of scale"
+    return Stage("k-means", knob, "encoder", "error_rms", points, sized=False)
 
 
 def _pruning(bench: Workbench) -> Stage:
@@ -86,9 +96,14 @@ def _pruning(bench: Workbench) -> Stage:
         def judge(view: RenderedView) -> Outcome:
             return {"psnr_db": psnr(view.rgb, truth), "kept_share": len(kept) / len(splats)}
 
-        return Point(f"{share:.0%} left out", lambda: scene.render(moment.camera, RenderOptions()), judge, share == 0)
+        def run() -> RenderedView:
+            return scene.render(moment.camera, RenderOptions())
 
-    return Stage("pruning", "share", "encoder, client", "psnr_db", tuple(map(point, (0.8, 0.6, 0.4, 0.2, 0.0))))
+        return Point(f"{share:.0%} left out", run, judge, share == shipped)
+
+    shipped = EncodeSettings().prune
+    shares = sorted({0.8, 0.6, 0.4, 0.2, 0.0, shipped}, reverse=True)
+    return Stage("pruning", "share", "encoder, client", "psnr_db", tuple(map(point, shares)), costs=("kept_share",))
 
 
 def _contribution(scene: RasterScene, camera: Camera) -> F32:
