@@ -51,7 +51,7 @@ export function readManifest(data: Uint8Array): Manifest {
     throw new BundleError(`manifest: is not a ${FORMAT} manifest`);
   }
   const version = (table as Record<string, unknown>)["version"];
-  if (version !== VERSION) throw new BundleError(`manifest: version ${String(version)} is unknown; this program reads ${VERSION}`);
+  if (version !== VERSION) throw new BundleError(`manifest: version ${String(version)} is unknown; this program reads ${VERSION}, encode again`);
   return checked(read(fields, table as Record<string, unknown>));
 }
 
