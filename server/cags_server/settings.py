@@ -76,7 +76,7 @@ class ServerSettings:
         high=1,
     )
     tiles_ahead: int = setting(
-        3, "frames by which tiles precede the references that assume them", low=1, high=30, research=True
+        8, "frames by which tiles precede the references that assume them", low=1, high=30, research=True
     )
     opening_tiles: bool = setting(True, "send the base layers of the first frame before playback begins", research=True)
     rasteriser: str = setting(

@@ -88,8 +88,10 @@ fewer.
 ABOVE, FAR_ABOVE, BELOW, FAR_BELOW = 1.25, 1.8, 0.5, 0.3
 """Rates, shares of what is asked for, beyond which quality changes."""
 
-KEY_SHARE = 2.5
-"""Pictures that need no other may take so many times what a picture is to take: their quality is chosen for that."""
+MOST_SHARE = 2.5
+"""A picture may take so many times what pictures are to take on average. Where it takes more, it is coded again as one
+that needs no other, of a quality chosen for that: on a thin link two or three such pictures block everything else.
+"""
 
 RATE_STEP, BUFFER_S, LEAST_BPS = 1.25, 0.1, 50_000
 """Of a video of constant rate: begun anew when off by more than the factor; kept over so many seconds; at least."""
@@ -236,8 +238,8 @@ class ReferenceCoder:
                 self._share = self._lasting.share(views.lack, camera, views.depth, appeared)
         kind = self.kinds[0]
         coded = self._coded(kind, views, idr=idr or self._begin_anew)
-        most = KEY_SHARE * self._target_bytes
-        if coded.idr and most and len(coded.access_unit) > most:
+        most = MOST_SHARE * self._target_bytes
+        if most and len(coded.access_unit) > most:
             excess = len(coded.access_unit) / most
             if self._set_crf(self._crf + CRF_OF_DOUBLE * np.log2(excess)):
                 coded = self._coded(kind, views, idr=True)

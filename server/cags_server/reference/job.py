@@ -25,8 +25,7 @@ from cags_server.visibility.ghosts import StaleSplats
 NOTHING = Coded(ReferenceKind.NOTHING)
 
 MANY_NEW = 0.02
-"""Share of a frame's splats that are new in it from which on it is drawn to see which of them are visible."""
-
+"""Share of a frame's splats with other looks than now from which on it is drawn to see which of them are visible."""
 
 SHOWS = 1e-4
 """Share of a reference's pixels from which on splats that the client lacks are seen."""
@@ -40,6 +39,8 @@ class FramePlan:
     tick: int
     frame: int
     ahead: Ahead
+    before: tuple[Ahead, ...]
+    """Frames up to ``ahead`` whose tiles were not chosen yet, as at the beginning of playback."""
     ticks_covered: int  # 1, and one more for every frame that was skipped for lateness
     planned_us: int
     display_us: int
@@ -173,16 +174,18 @@ class FrameJob:
         return blocks_of(self.library.scenes.changed(self.plan.frame, lacking), self.camera)
 
     def _contribution_ahead(self, contribution: F32, options: RenderOptions) -> F32:
-        """[capacity] what splats contribute to the frame whose tiles are planned: as to this one, unless many are new
-        there. These it is drawn for.
+        """[capacity] what splats contribute to the frame whose tiles are planned: as to this one, unless splats appear
+        until then, or many get other looks. For these it is drawn: were they found only when their own frame is drawn,
+        they would come after the mark that its reference assumes, and a difference would have to replace them.
         """
         ahead, frame = self.plan.ahead.frame, self.plan.frame
         if ahead == frame:
             return contribution
         if self.library.gof_start(ahead) == self.library.gof_start(frame):
-            owners = self.library.owners(ahead)
-            new = (owners >= 0) & (owners != self.library.owners(frame))
-            if new.sum() <= MANY_NEW * (owners >= 0).sum():
+            now, then = self.library.owners(frame), self.library.owners(ahead)
+            there = then >= 0
+            appear = bool((there & (now < 0)).any())
+            if not appear and (there & (then != now)).sum() <= MANY_NEW * there.sum():
                 return contribution
         return self._seen_ahead(options)
 

@@ -54,6 +54,8 @@ class Schedule:
         self._rendered_tick: int | None = None  # newest frame that a render was begun for
         self._render_covers = 1
         self._served_ahead = 0  # newest tick whose tiles were chosen
+        self.between: tuple[int, ...] = ()
+        """Displayed ticks before :meth:`ahead` of the newest planned one whose tiles were not chosen with another."""
 
     def controlled(self, control: Control, now_us: int) -> None:
         """The viewer plays, pauses, seeks or changes speed: restart the count of ticks."""
@@ -200,7 +202,12 @@ class Schedule:
         """``tick`` is planned, which completes all earlier ones; returns their number, including ``tick``."""
         covered = tick - self._from_tick + 1
         self._from_tick = tick + 1
-        self._served_ahead = self.ahead(tick)
+        last, between = self.ahead(tick), list[int]()
+        after = next_displayed(max(self._served_ahead, tick) + 1, self.cadence_permille)
+        while after < last:
+            between.append(after)
+            after = next_displayed(after + 1, self.cadence_permille)
+        self._served_ahead, self.between = last, tuple(between)
         return covered
 
     def is_out(self, tick: int) -> bool:

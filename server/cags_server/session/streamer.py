@@ -310,6 +310,7 @@ class Streamer:
             tick=0,
             frame=frame,
             ahead=Ahead(frame, 0),
+            before=(),
             ticks_covered=1,
             planned_us=now_us,
             display_us=0,
@@ -369,7 +370,8 @@ class Streamer:
         self._enter(ahead, now_us)
         told = seen and self._visibility.tells_of(ahead)
         visible = self._visibility.tiles(ahead) if told else self._tiles_in_view(ahead, plan.predicted.pose)
-        return self._from_nothing(plan, now_us) + self._upgrades(visible, record, now_us)
+        out = self._from_nothing(plan, now_us) + self._on_the_way(plan, record, now_us)
+        return out + self._upgrades(visible, record, now_us)
 
     def _enter(self, frame: int, now_us: int) -> None:
         self._tiles.enter(frame)
@@ -384,6 +386,11 @@ class Streamer:
     def _ahead(self, tick: int, frame: int) -> Ahead:
         """The frame whose tiles go out with the reference of ``tick``; the same again at the clip's end."""
         return Ahead(self._frame_ahead(tick, frame), self._schedule.timeline.display_us(self._schedule.ahead(tick)))
+
+    def _at(self, tick: int) -> Ahead:
+        frame = self._schedule.media_frame(tick)
+        assert frame is not None, "a tick before one that is displayed"
+        return Ahead(frame, self._schedule.timeline.display_us(tick))
 
     def _frame_ahead(self, tick: int, frame: int) -> int:
         then = self._schedule.media_frame(self._schedule.ahead(tick))
@@ -437,6 +444,7 @@ class Streamer:
             tick=tick,
             frame=frame,
             ahead=self._ahead(tick, frame),
+            before=tuple(self._at(between) for between in self._schedule.between),
             ticks_covered=ticks_covered,
             planned_us=now_us,
             display_us=display_us,
@@ -493,7 +501,8 @@ class Streamer:
         out = self._counted(self._reference_if_useful(render, record, now_us), now_us)
         if overtaken:  # its tiles, and later ones, were sent before it
             return out
-        out += self._from_nothing(plan, now_us) + self._upgrades(render.visible, record, now_us)
+        out += self._from_nothing(plan, now_us) + self._on_the_way(plan, record, now_us)
+        out += self._upgrades(render.visible, record, now_us)
         self._visibility.served(plan.ahead.frame, render.contribution, self._tiles.inventory)
         return out
 
@@ -528,6 +537,19 @@ class Streamer:
         if self._coder.kind is None or (self._schedule.timeline.playing and self._video.silent):
             return []
         return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
+
+    def _on_the_way(self, plan: FramePlan, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
+        """The tiles of frames before the one planned ahead, by the visibility that is known, and their ends.
+
+        Only where splats are sent anew for every frame; where motion brings them on, the frames after will do.
+        """
+        out: list[ev.Outgoing] = []
+        for ahead in plan.before if self._library.manifest.motion is None else ():
+            if self._visibility.tells_of(ahead.frame) and (self._tiles.ended or -1) < ahead.frame < plan.ahead.frame:
+                step = replace(record, ahead=ahead, tile_bytes=0)
+                out += self._upgrades(self._visibility.tiles(ahead.frame), step, now_us)
+                record.tile_bytes += step.tile_bytes
+        return out
 
     def _upgrades(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
         """The tiles chosen by the rate policy for a frame, and the end of the frame."""
@@ -591,7 +613,7 @@ class Streamer:
         decision = self._policy.decide(observation)
         coming_bytes = self._budget.outstanding_bytes + lacking_bytes(observation)
         self._worth.observe(coming_bytes, record.estimate_bps, self._schedule.timeline.period_us)
-        record.tile_bytes = decision.bytes
+        record.tile_bytes += decision.bytes
         self._budget.close(earned_bytes - decision.bytes, now_us)
         record.visible_tiles, record.upgrades = len(visible), len(decision.upgrades)
         return decision

@@ -15,7 +15,7 @@ from cags_common.geometry import F32, Camera, Intrinsics, Pose
 from cags_common.video.h264 import H264Decoder, is_idr
 from cags_protocol.wire.limits import PROTOCOL_VERSION
 from cags_protocol.wire.messages import Hello, ReferenceKind
-from cags_server.reference.coder import FIRST_WINDOW, INVISIBLE, KEY_SHARE, RATE_WINDOW, ReferenceCoder
+from cags_server.reference.coder import FIRST_WINDOW, INVISIBLE, MOST_SHARE, RATE_WINDOW, ReferenceCoder
 from cags_server.settings import ServerSettings
 
 CLIENT = Intrinsics.of_fov(321, 241, 1.0, 0.8)
@@ -156,9 +156,24 @@ def test_a_picture_that_stands_alone_is_coded_again_where_it_is_far_too_large() 
         one = coder(replace(SMALL, references="picture"))
         one.follow(link_bps, PERIOD_US)
         sizes.append(len(one.code(picture, None, idr=True).access_unit))
-    most = KEY_SHARE * 6e5 * SMALL.reference_share * PERIOD_US / 8e6
+    most = MOST_SHARE * 6e5 * SMALL.reference_share * PERIOD_US / 8e6
     assert sizes[2] > 6 * most > 2 * sizes[0], "once: towards what the link bears"
     assert sizes[0] < sizes[1] < sizes[2]
+
+
+def test_a_picture_that_would_block_a_thin_link_is_coded_again() -> None:
+    """Four differences of ten times their share followed each other on such a link, and the media behind them stood."""
+    link_bps = 6e5
+    most = MOST_SHARE * link_bps * SMALL.reference_share * PERIOD_US / 8e6
+    one, free = (coder(replace(SMALL, references="difference")) for _ in range(2))
+    sizes, freely = [], []
+    for number, truth in enumerate(moving(8, sigma_px=0.8)):
+        mirror = truth + np.float32(0.002) if number < 3 else cv2.blur(truth, (5, 5))  # then it loses track
+        one.follow(link_bps, PERIOD_US)
+        sizes.append(len(one.code(truth, mirror, idr=not number).access_unit))
+        freely.append(len(free.code(truth, mirror, idr=not number).access_unit))
+    assert max(freely[3:]) > 3 * most
+    assert max(sizes[4:]) < 1.5 * most
 
 
 @pytest.mark.parametrize("bps", [300_000, 1_000_000, 4_000_000])

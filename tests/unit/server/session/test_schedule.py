@@ -161,6 +161,18 @@ def test_every_frame_is_covered_once_and_in_order(lates: list[int], permille: in
         newest = tick
 
 
+def test_the_first_frames_are_not_passed_over_and_no_frame_comes_between_later() -> None:
+    schedule = playing(settings=replace(SETTINGS, tiles_ahead=4))
+    schedule.begin_render(0)
+    assert (schedule.ahead(0), schedule.between) == (4, (1, 2, 3))
+    schedule.rendering = False
+    schedule.begin_render(0)
+    assert (schedule.ahead(1), schedule.between) == (5, ())
+    schedule.rendering, schedule.cadence_permille = False, 500
+    schedule.begin_render(0)
+    assert all(tick % 2 == 0 for tick in schedule.between), "of those that are displayed"
+
+
 @given(st.lists(st.sampled_from([1000, 900, 500, 120]), min_size=1, max_size=20), st.integers(1, 4))
 def test_tiles_ahead_never_fall_back(cadences: list[int], ahead: int) -> None:
     schedule = playing(frames=10_000, settings=replace(SETTINGS, tiles_ahead=ahead))
