@@ -52,6 +52,9 @@ SETTLES_S = 20.0
 WARMS_UP_S = 60.0
 """Warm-up with the same faults, after which caches (decoded tiles, threads) are full."""
 
+DECODED_MB = "8"
+"""Bound on decoded tiles. By default they may take 256 MB, which seeks and faults fill for longer than an hour."""
+
 MOST_GROWTH = 1.1
 POOL = (os.cpu_count() or 1) + 4
 """Largest number of threads in an event loop's executor, which grows with concurrent blocking calls."""
@@ -128,9 +131,11 @@ class Footing:
     threads: int
     tasks: int = 0
     """Tasks of its event loop, if it reports them."""
+    decoded_mb: float = 0.0
+    """Decoded tiles that it keeps, within their bound, if it reports them."""
 
 
-def footing(pid: int, tasks: int = 0) -> Footing:
+def footing(pid: int, tasks: int = 0, decoded_mb: float = 0.0) -> Footing:
     """The resources of a running process."""
     here = Path(f"/proc/{pid}")
     pages = int((here / "statm").read_text().split()[1])
@@ -139,6 +144,7 @@ def footing(pid: int, tasks: int = 0) -> Footing:
         len(list((here / "fd").iterdir())),
         len(list((here / "task").iterdir())),
         tasks,
+        decoded_mb,
     )
 
 
@@ -253,14 +259,15 @@ async def _footings(server: Keep, shaping: int) -> tuple[Footing, Footing]:
     await asyncio.sleep(SETTLES_S)
     assert await asyncio.to_thread(metric, server, "cags_sessions") == 0, "somebody is still there"
     tasks = await asyncio.to_thread(metric, server, "cags_tasks")
-    await asyncio.sleep(1.0)  # until the connection that asked is gone
-    return footing(server.process.pid, tasks), footing(shaping)
+    decoded_mb = round(await asyncio.to_thread(metric, server, "cags_decoded_bytes") / 1e6, 1)
+    await asyncio.sleep(1.0)  # until the connections that asked are gone
+    return footing(server.process.pid, tasks, decoded_mb), footing(shaping)
 
 
 def hour(folder: Path, minutes: float, seed: int) -> Hour:
     """Run for ``minutes``, with files in ``folder``."""
     bundle, traces = encode_small(folder), folder / "traces"
-    with keep(bundle, folder, "--event-traces", str(traces)) as server, shaper(server.port) as (shaping, url):
+    with keep(bundle, folder, "--event-traces", str(traces), "--decoded-mb", DECODED_MB) as server, shaper(server.port) as (shaping, url):
         viewers, footings, peak_mb = asyncio.run(play(server, shaping, url, 60 * minutes, seed))
         sessions = metric(server, "cags_sessions_total")
         server.stop()

@@ -85,6 +85,7 @@ def _serve(argv: Sequence[str]) -> None:
             settings.bundle,
             lambda: raster.create(raster.chosen(settings.rasteriser, notes.append)),
             may_be_empty=settings.accept_uploads,
+            decoded_bytes=round(settings.decoded_mb * 1e6),
         )
         asyncio.run(serve(scenes, settings, ready))
 

@@ -143,6 +143,9 @@ class ServeSettings(ServerSettings):
         1000.0, "largest message rate of a client, messages per second", low=1.0, high=1e6
     )
     max_queue_mb: float = setting(16.0, "largest send queue of one client, MB", low=0.1, high=4096.0)
+    decoded_mb: float = setting(
+        256.0, "memory for decoded tiles of each scene, which its viewers share, MB", low=1.0, high=1e6
+    )
     idle_s: float = setting(15.0, "silence after which a client is disconnected, seconds", low=0.5, high=3600.0)
     slow_s: float = setting(10.0, "time limit for writing one packet to a client, seconds", low=0.5, high=3600.0)
     session_logs: str = setting("", "folder for session logs, one JSON-lines file per session; none when empty")

@@ -203,7 +203,8 @@ class App:
             return refusal
         from cags_server.http.metrics import exposition  # with all of Prometheus' client: once somebody asks
 
-        page = exposition(self._ended, (stats for _, stats in self.sessions()), tasks=len(asyncio.all_tasks()))
+        live, tasks = (stats for _, stats in self.sessions()), len(asyncio.all_tasks())
+        page = exposition(self._ended, live, tasks=tasks, decoded_bytes=self._scenes.decoded_bytes)
         return web.Response(text=page, headers={"Content-Type": "text/plain; version=0.0.4; charset=utf-8"})
 
     async def _stream(self, request: web.Request) -> web.StreamResponse:

@@ -12,13 +12,15 @@ from cags_server.http.shortage import RESOURCES, shortage
 from cags_server.records import StreamStats, Totals
 
 
-def exposition(ended: Totals, live: Iterable[StreamStats], *, tasks: int = 0) -> str:
+def exposition(ended: Totals, live: Iterable[StreamStats], *, tasks: int = 0, decoded_bytes: int = 0) -> str:
     """The metrics page in Prometheus' text format: sessions that have ended, those that go on, and the process, whose
-    event loop has ``tasks``.
+    event loop has ``tasks``, and which keeps ``decoded_bytes`` of tiles.
     """
     registry = CollectorRegistry()
     registry.register(_Sessions(ended, tuple(live)))
     Gauge("cags_tasks", "Tasks of the event loop.", registry=registry).set(tasks)
+    kept = Gauge("cags_decoded_bytes", "Decoded tiles kept for the viewers of all scenes.", registry=registry)
+    kept.set(decoded_bytes)
     ProcessCollector(registry=registry)
     return generate_latest(registry).decode()
 

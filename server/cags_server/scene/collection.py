@@ -18,6 +18,7 @@ from cags_common.bundle.store import local_path
 from cags_common.errors import CagsError, ConfigError
 from cags_common.raster.base import Rasteriser
 from cags_common.runtime.recent import Recent
+from cags_server.scene.decoded_tiles import DECODED_BYTES
 from cags_server.scene.library import SceneLibrary
 
 MAX_SCENES = 1000
@@ -49,9 +50,19 @@ class SceneEntry:
 class Collection:
     """Scenes by name. Safe to use from several threads."""
 
-    def __init__(self, readers: dict[str, BundleReader], rasteriser: Rasteriser, folder: Path | None = None) -> None:
-        """``folder``: where the bundles lie, of a server that has several; None: there is one, which needs no name."""
+    def __init__(
+        self,
+        readers: dict[str, BundleReader],
+        rasteriser: Rasteriser,
+        folder: Path | None = None,
+        *,
+        decoded_bytes: int = DECODED_BYTES,
+    ) -> None:
+        """``folder``: where the bundles lie, of a server that has several; None: there is one, which needs no name.
+        ``decoded_bytes`` bound the decoded tiles that are kept of each scene.
+        """
         self._readers, self._rasteriser, self.folder = dict(readers), rasteriser, folder
+        self._decoded_bytes = decoded_bytes
         self._watched = WeakValueDictionary[str, SceneLibrary]()
         self._idle = OrderedDict[str, SceneLibrary]()  # least recently watched first
         self._thumbnails = Recent[str, bytes](THUMBNAIL_BYTES)
@@ -66,8 +77,16 @@ class Collection:
         return found
 
     @classmethod
-    def open(cls, url: str, rasteriser: Callable[[], Rasteriser], *, may_be_empty: bool = False) -> Collection:
+    def open(
+        cls,
+        url: str,
+        rasteriser: Callable[[], Rasteriser],
+        *,
+        may_be_empty: bool = False,
+        decoded_bytes: int = DECODED_BYTES,
+    ) -> Collection:
         """The bundle at ``url``, or all bundles in that folder; ``rasteriser()`` is asked for once they are found.
+        ``decoded_bytes`` bound the decoded tiles that are kept of each scene.
 
         Raises :class:`BundleError` or :class:`DecodeError` for one bundle and for a folder without any, unless it
         ``may_be_empty``. Bundles of a folder that cannot be read are left out, with a line in the log.
@@ -77,10 +96,10 @@ class Collection:
         places = _bundles(folder) if several and folder is not None else []
         if folder is None or not (places or (several and may_be_empty)):
             reader = BundleReader.open(url)
-            return cls({scene_name(reader.manifest.name): reader}, rasteriser())
+            return cls({scene_name(reader.manifest.name): reader}, rasteriser(), decoded_bytes=decoded_bytes)
         if len(places) > MAX_SCENES:
             raise ConfigError(f"bundle = {url}: holds {len(places)} bundles; at most {MAX_SCENES} are served")
-        collection = cls({}, rasteriser(), folder)
+        collection = cls({}, rasteriser(), folder, decoded_bytes=decoded_bytes)
         for place in places:
             try:
                 collection.add(place)
@@ -104,6 +123,12 @@ class Collection:
         manifests = self.manifests
         return f"{len(manifests)} scenes" if self.several else manifests[0].name
 
+    @property
+    def decoded_bytes(self) -> int:
+        """Decoded tiles kept of all scenes that are open."""
+        with self._lock:
+            return sum(library.decoded.nbytes for library in self._watched.values())
+
     def add(self, place: Path) -> str:
         """Take in the bundle in a folder; its name. Raises :class:`BundleError` or :class:`DecodeError`."""
         reader = BundleReader.open(str(place))
@@ -125,7 +150,7 @@ class Collection:
         name = self._known(name)
         library = self._opened(name)
         if library is None:  # without the lock: a slow store holds up nobody who wants another scene
-            opened = SceneLibrary(self._readers[name], self._rasteriser)
+            opened = SceneLibrary(self._readers[name], self._rasteriser, self._decoded_bytes)
             with self._lock:
                 library = self._watched.setdefault(name, opened)
         self._keep(name, library)

@@ -34,7 +34,7 @@ from cags_common.tiles.updates import UpdateState
 T = TypeVar("T")
 U = TypeVar("U")
 
-DECODED_BYTES = 256 << 20
+DECODED_BYTES = 256_000_000
 """Bound on the decoded tiles that are kept, where the settings say nothing else."""
 
 DECODER_SPLAT_BYTES = 64

@@ -84,7 +84,7 @@ def test_the_metrics_page_adds_ended_and_running_sessions() -> None:
     costs = ReferenceCosts(2, render_ns=2 * 10**9)
     ended.add(StreamStats(frames=3, frames_in_time=2, frames_late=1, stalls=1, bytes_tiles=100, light=costs))
     live = StreamStats(frames=4, frames_skipped=5, bytes_tiles=11, bandwidth_bps=2e6, rtt_us=40_000, stalls=2)
-    page = exposition(ended, [live], tasks=9)
+    page = exposition(ended, [live], tasks=9, decoded_bytes=77)
     lines = (line.rsplit(" ", 1) for line in page.splitlines() if not line.startswith("#"))
     values = {series: float(value) for series, value in lines}
     assert values["cags_sessions"] == 1
@@ -92,6 +92,7 @@ def test_the_metrics_page_adds_ended_and_running_sessions() -> None:
     assert values["cags_frames_total"] == 7
     assert (values["cags_frames_in_time_total"], values["cags_frames_late_total"]) == (2, 1)
     assert (values["cags_frames_skipped_total"], values["cags_stalls_total"], values["cags_tasks"]) == (5, 3, 9)
+    assert values["cags_decoded_bytes"] == 77
     assert values['cags_sent_bytes_total{kind="tiles"}'] == 111
     assert values["cags_render_seconds_sum"] == pytest.approx(2.0)
     assert values["cags_render_seconds_count"] == 2, "looks without a reference are not counted"

@@ -84,6 +84,17 @@ def test_who_watches_keeps_a_scene_and_idle_ones_are_bounded(folder: Path) -> No
     assert len(scenes._idle) == IDLE_SCENES
 
 
+def test_decoded_tiles_of_a_scene_are_bounded(folder: Path) -> None:
+    kept = []
+    for most in (1, 1 << 30):
+        library = Collection.open(str(folder), lambda: RASTERISER, decoded_bytes=most).library("two")
+        for frame in range(3):
+            for tile in range(len(library.entry(frame).tiles)):
+                library.decoded.at((frame, tile), 1)
+        kept.append(library.decoded.nbytes)
+    assert kept[0] < kept[1], "the newest one alone"
+
+
 def test_a_thumbnail_is_the_bundles_or_drawn(folder: Path, tmp_path: Path) -> None:
     scenes = Collection.open(str(folder), lambda: RASTERISER)
     own = (folder / "one.cags/thumbnail.jpg").read_bytes()
