@@ -267,7 +267,10 @@ async def _footings(server: Keep, shaping: int) -> tuple[Footing, Footing]:
 def hour(folder: Path, minutes: float, seed: int) -> Hour:
     """Run for ``minutes``, with files in ``folder``."""
     bundle, traces = encode_small(folder), folder / "traces"
-    with keep(bundle, folder, "--event-traces", str(traces), "--decoded-mb", DECODED_MB) as server, shaper(server.port) as (shaping, url):
+    with (
+        keep(bundle, folder, "--event-traces", str(traces), "--decoded-mb", DECODED_MB) as server,
+        shaper(server.port) as (shaping, url),
+    ):
         viewers, footings, peak_mb = asyncio.run(play(server, shaping, url, 60 * minutes, seed))
         sessions = metric(server, "cags_sessions_total")
         server.stop()

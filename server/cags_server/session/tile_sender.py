@@ -66,14 +66,18 @@ class TileSender:
             self.age.lost(held.frame, held.tile)
 
     def upgrades(self, frame: int, upgrades: tuple[Upgrade, ...], deadline_us: int) -> list[ev.Outgoing]:
-        """Messages of a frame: new tiles, the frame's end, tiles that begin later, detail."""
+        """Messages of a frame: new tiles and the ends of the frames that they are for, tiles that begin later, detail.
+
+        Where several frames end at once, each does so as soon as what it needs is there.
+        """
         base, detail = (self._layers if self.layered else self._whole_tiles)(upgrades, deadline_us)
-        begins_later = [isinstance(each.message, TileLayers) and each.message.frame > frame for each in base]
-        now, later = (
-            [each for each, is_later in zip(base, begins_later, strict=True) if is_later == kind]
-            for kind in (False, True)
-        )
-        return [*now, *self.frame_ends(frame), *later, *detail]
+        out: list[ev.Outgoing] = []
+        for end in self.frame_ends(frame):
+            assert isinstance(end.message, FrameEnd)
+            now, base = _begun_by(end.message.frame, base)
+            out += [*now, end]
+        now, later = _begun_by(frame, base)
+        return [*out, *now, *later, *detail]
 
     def beginning(self, frame: int, camera: Camera) -> list[ev.Outgoing]:
         """A picture from nothing, whatever the budget: base layers in view, the frame's end, the other base layers."""
@@ -233,3 +237,11 @@ class TileSender:
         of = np.array([looks], np.int32)
         chunks = {int(tiles.chunk_at(of, at)[0]) for at in (frame - 1, frame)} - {-1}
         return any(self.inventory.delivered_depth(*tiles.key(chunk)) for chunk in chunks)
+
+
+def _begun_by(frame: int, tiles: list[ev.Outgoing]) -> Parts:
+    """Of ``tiles`` those that show in ``frame``, and those that begin later."""
+    parts: Parts = [], []
+    for each in tiles:
+        parts[isinstance(each.message, TileLayers) and each.message.frame > frame].append(each)
+    return parts

@@ -48,6 +48,16 @@ def test_the_tiles_and_the_end_of_a_later_frame_go_with_a_reference() -> None:
     assert ends(rig.step()) == [4]
 
 
+def test_of_frames_that_end_together_each_ends_as_soon_as_its_own_tiles_are_there() -> None:
+    rig = Rig(FAR)
+    rig.play()
+    out = [each.message for each in rig.step()]
+    for frame in (1, 2, 3):
+        end = next(at for at, message in enumerate(out) if isinstance(message, FrameEnd) and message.frame == frame)
+        base = [message for message in out if isinstance(message, TileLayers) and message.from_lod == 0]
+        assert {message.frame for message in base if out.index(message) < end} == set(range(1, frame + 1))
+
+
 @pytest.mark.parametrize("references", ["auto", "difference"])
 @pytest.mark.parametrize("ahead", [1, 3, 30])
 def test_every_frame_of_a_clip_ends_once_and_every_tile_comes(ahead: int, references: str) -> None:
