@@ -26,6 +26,11 @@ class Interval:
     def __str__(self) -> str:
         return f"{self.mean:+.2f} [{self.low:+.2f}, {self.high:+.2f}]"
 
+    @property
+    def bounded(self) -> bool:
+        """Whether there were values enough for an interval."""
+        return math.isfinite(self.low) and math.isfinite(self.high)
+
     def above(self, bound: float) -> bool:
         """Whether the mean is surely above ``bound``."""
         return self.low > bound

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import pairwise
+from statistics import median
 from typing import Any
 
 from cags_bench.confidence import Interval, interval
@@ -38,16 +39,11 @@ def cost_ratio(one: Measured, other: Measured, cost: str = TIME) -> Interval:
     Unbounded where ``other`` has a moment without cost.
     """
     if cost == TIME:
-        pairs = [(_middle(ours), _middle(theirs)) for ours, theirs in _pairs(one.times_ms, other.times_ms)]
+        pairs = [(median(ours), median(theirs)) for ours, theirs in _pairs(one.times_ms, other.times_ms)]
     else:
         known = _pairs(one.outcomes, other.outcomes)
         pairs = [(ours[cost], theirs[cost]) for ours, theirs in known if cost in ours and cost in theirs]
     return interval([ours / theirs if theirs else math.nan for ours, theirs in pairs])
-
-
-def _middle(times: Sequence[float]) -> float:
-    ordered = sorted(times)
-    return (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
 
 
 def _pairs(ours: Any, theirs: Any) -> list[tuple[Any, Any]]:

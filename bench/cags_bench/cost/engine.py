@@ -81,10 +81,16 @@ class Measured:
         return median(self.all_times_ms)
 
     @property
+    def quartiles_ms(self) -> tuple[float, float]:
+        """Times below which a quarter and three quarters of them lie."""
+        ordered = self.all_times_ms
+        return ordered[len(ordered) // 4], ordered[(3 * len(ordered)) // 4]
+
+    @property
     def spread_ms(self) -> float:
         """Interquartile range of the times."""
-        ordered = self.all_times_ms
-        return ordered[(3 * len(ordered)) // 4] - ordered[len(ordered) // 4]
+        low_ms, high_ms = self.quartiles_ms
+        return high_ms - low_ms
 
     @property
     def quality(self) -> float:

@@ -123,7 +123,7 @@ def _neighbours_row(group: Group) -> list[str] | None:
 
 def _gain(found: Interval) -> str:
     """A gain with its interval, and what it is sure of."""
-    if not (math.isfinite(found.low) and math.isfinite(found.high)):
+    if not found.bounded:
         return f"{found.mean:+.3g}"
     text = f"{found.mean:+.3g} [{found.low:+.3g}, {found.high:+.3g}]"
     return f"{text} {verdict(found)}".rstrip()
@@ -162,8 +162,7 @@ def _table(group: Group) -> str:
 
 def _half(found: Interval) -> float | None:
     """Half the width of a bounded interval."""
-    half = (found.high - found.low) / 2
-    return half if math.isfinite(half) else None
+    return (found.high - found.low) / 2 if found.bounded else None
 
 
 def _times(one: Measured, default: Measured | None, cost: str) -> str:
@@ -171,7 +170,7 @@ def _times(one: Measured, default: Measured | None, cost: str) -> str:
     if default is None:
         return ""
     found = cost_ratio(one, default, cost)
-    if not (math.isfinite(found.low) and math.isfinite(found.high)):
+    if not found.bounded:
         return "–" if math.isnan(found.mean) else f"{found.mean:.2f}"
     return f"{found.mean:.2f} [{found.low:.2f}, {found.high:.2f}]"
 
@@ -182,12 +181,10 @@ def _plot(group: Group) -> str:
     front = pareto(group)
     axes.plot([one.median_ms for one in front], [one.quality for one in front], "-", color="tab:blue")
     for one in group:
-        found, times = quality_of(one), one.all_times_ms
-        at, middle = (one.median_ms, one.quality), one.median_ms
-        bounded = math.isfinite(found.low) and math.isfinite(found.high)
-        up = [[found.mean - found.low], [found.high - found.mean]] if bounded else None
-        along = [[middle - times[len(times) // 4]], [times[(3 * len(times)) // 4] - middle]]
-        along = [[max(value, 0.0) for value in side] for side in along]
+        found, at = quality_of(one), (one.median_ms, one.quality)
+        low_ms, high_ms = one.quartiles_ms
+        up = [[found.mean - found.low], [found.high - found.mean]] if found.bounded else None
+        along = [[max(one.median_ms - low_ms, 0.0)], [max(high_ms - one.median_ms, 0.0)]]
         marker = "*" if one.default else "."
         axes.errorbar(*at, yerr=up, xerr=along, fmt=marker, color="tab:red", ms=11, elinewidth=0.8, alpha=0.8)
         axes.annotate(one.label.partition(":")[0], at, fontsize=7, xytext=(4, 4), textcoords="offset points")

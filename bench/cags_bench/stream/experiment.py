@@ -91,7 +91,7 @@ def _compared(
 
 def verdict_of(figure: Figure, found: Interval) -> str:
     """Verdict on a difference, in words."""
-    if not math.isfinite(found.low) or not math.isfinite(found.high):
+    if not found.bounded:
         return UNSURE
     if found.low <= 0.0 <= found.high:
         return NO_DIFFERENCE

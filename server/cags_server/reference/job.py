@@ -40,7 +40,7 @@ class FramePlan:
     frame: int
     ahead: Ahead
     before: tuple[Ahead, ...]
-    """Frames up to ``ahead`` whose tiles were not chosen yet, as at the beginning of playback."""
+    """Frames before ``ahead`` that no earlier plan served, as at the beginning of playback."""
     ticks_covered: int  # 1, and one more for every frame that was skipped for lateness
     planned_us: int
     display_us: int

@@ -55,7 +55,9 @@ class Schedule:
         self._render_covers = 1
         self._served_ahead = 0  # newest tick whose tiles were chosen
         self.between: tuple[int, ...] = ()
-        """Displayed ticks before :meth:`ahead` of the newest planned one whose tiles were not chosen with another."""
+        """Ticks that the client displays before :meth:`ahead` of the newest planned tick, and that no earlier plan
+        served: the first ones after a control, and some where the client begins to display more frames.
+        """
 
     def controlled(self, control: Control, now_us: int) -> None:
         """The viewer plays, pauses, seeks or changes speed: restart the count of ticks."""
@@ -202,12 +204,9 @@ class Schedule:
         """``tick`` is planned, which completes all earlier ones; returns their number, including ``tick``."""
         covered = tick - self._from_tick + 1
         self._from_tick = tick + 1
-        last, between = self.ahead(tick), list[int]()
-        after = next_displayed(max(self._served_ahead, tick) + 1, self.cadence_permille)
-        while after < last:
-            between.append(after)
-            after = next_displayed(after + 1, self.cadence_permille)
-        self._served_ahead, self.between = last, tuple(between)
+        served, self._served_ahead = max(self._served_ahead, tick), self.ahead(tick)
+        between = range(served + 1, self._served_ahead)
+        self.between = tuple(at for at in between if next_displayed(at, self.cadence_permille) == at)
         return covered
 
     def is_out(self, tick: int) -> bool:

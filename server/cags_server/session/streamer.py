@@ -144,7 +144,7 @@ class Streamer:
     def frame_ahead(self) -> int | None:
         """The next media frame to plan tiles for; None for none."""
         frame = self._schedule.next_frame
-        return None if frame is None else self._frame_ahead(self._schedule.serves, frame)
+        return None if frame is None else self._ahead(self._schedule.serves, frame).frame
 
     @property
     def wait_us(self) -> float:
@@ -370,7 +370,7 @@ class Streamer:
         self._enter(ahead, now_us)
         told = seen and self._visibility.tells_of(ahead)
         visible = self._visibility.tiles(ahead) if told else self._tiles_in_view(ahead, plan.predicted.pose)
-        out = self._from_nothing(plan, now_us) + self._on_the_way(plan, record, now_us)
+        out = self._from_nothing(plan, now_us) + self._passed_over(plan, record, now_us)
         return out + self._upgrades(visible, record, now_us)
 
     def _enter(self, frame: int, now_us: int) -> None:
@@ -384,17 +384,13 @@ class Streamer:
         return self._plan(tick, frame, ticks_covered, now_us, drawn=False)
 
     def _ahead(self, tick: int, frame: int) -> Ahead:
-        """The frame whose tiles go out with the reference of ``tick``; the same again at the clip's end."""
-        return Ahead(self._frame_ahead(tick, frame), self._schedule.timeline.display_us(self._schedule.ahead(tick)))
+        """The frame whose tiles go out with the reference of ``tick``; ``frame`` again at the clip's end."""
+        return self._at(self._schedule.ahead(tick), frame)
 
-    def _at(self, tick: int) -> Ahead:
-        frame = self._schedule.media_frame(tick)
-        assert frame is not None, "a tick before one that is displayed"
-        return Ahead(frame, self._schedule.timeline.display_us(tick))
-
-    def _frame_ahead(self, tick: int, frame: int) -> int:
-        then = self._schedule.media_frame(self._schedule.ahead(tick))
-        return frame if then is None else then
+    def _at(self, tick: int, frame: int) -> Ahead:
+        """The frame of ``tick``, and when it is displayed; ``frame`` where the clip has ended."""
+        then = self._schedule.media_frame(tick)
+        return Ahead(frame if then is None else then, self._schedule.timeline.display_us(tick))
 
     def _tiles_in_view(self, frame: int, pose: Pose) -> tuple[VisibleTile, ...]:
         camera = Camera(self._hello.intrinsics, pose, self._hello.near)
@@ -444,7 +440,7 @@ class Streamer:
             tick=tick,
             frame=frame,
             ahead=self._ahead(tick, frame),
-            before=tuple(self._at(between) for between in self._schedule.between),
+            before=tuple(self._at(between, frame) for between in self._schedule.between),
             ticks_covered=ticks_covered,
             planned_us=now_us,
             display_us=display_us,
@@ -501,7 +497,7 @@ class Streamer:
         out = self._counted(self._reference_if_useful(render, record, now_us), now_us)
         if overtaken:  # its tiles, and later ones, were sent before it
             return out
-        out += self._from_nothing(plan, now_us) + self._on_the_way(plan, record, now_us)
+        out += self._from_nothing(plan, now_us) + self._passed_over(plan, record, now_us)
         out += self._upgrades(render.visible, record, now_us)
         self._visibility.served(plan.ahead.frame, render.contribution, self._tiles.inventory)
         return out
@@ -538,14 +534,17 @@ class Streamer:
             return []
         return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
 
-    def _on_the_way(self, plan: FramePlan, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
-        """The tiles of frames before the one planned ahead, by the visibility that is known, and their ends.
+    def _passed_over(self, plan: FramePlan, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
+        """Tiles and ends of the frames before the one planned ahead that no earlier plan served.
 
-        Only where splats are sent anew for every frame; where motion brings them on, the frames after will do.
+        Only in bundles that send splats anew for every frame; otherwise motion that comes with later frames will do.
         """
+        if self._library.manifest.motion is not None:
+            return []
         out: list[ev.Outgoing] = []
-        for ahead in plan.before if self._library.manifest.motion is None else ():
-            if self._visibility.tells_of(ahead.frame) and (self._tiles.ended or -1) < ahead.frame < plan.ahead.frame:
+        for ahead in plan.before:
+            ended = -1 if self._tiles.ended is None else self._tiles.ended
+            if ended < ahead.frame < plan.ahead.frame and self._visibility.tells_of(ahead.frame):
                 step = replace(record, ahead=ahead, tile_bytes=0)
                 out += self._upgrades(self._visibility.tiles(ahead.frame), step, now_us)
                 record.tile_bytes += step.tile_bytes
