@@ -52,9 +52,6 @@ SETTLES_S = 20.0
 WARMS_UP_S = 60.0
 """Warm-up with the same faults, after which caches (decoded tiles, threads) are full."""
 
-DECODED_MB = "8"
-"""Bound on decoded tiles. By default they may take 256 MB, which seeks and faults fill for longer than an hour."""
-
 MOST_GROWTH = 1.1
 POOL = (os.cpu_count() or 1) + 4
 """Largest number of threads in an event loop's executor, which grows with concurrent blocking calls."""
@@ -267,10 +264,7 @@ async def _footings(server: Keep, shaping: int) -> tuple[Footing, Footing]:
 def hour(folder: Path, minutes: float, seed: int) -> Hour:
     """Run for ``minutes``, with files in ``folder``."""
     bundle, traces = encode_small(folder), folder / "traces"
-    with (
-        keep(bundle, folder, "--event-traces", str(traces), "--decoded-mb", DECODED_MB) as server,
-        shaper(server.port) as (shaping, url),
-    ):
+    with keep(bundle, folder, "--event-traces", str(traces)) as server, shaper(server.port) as (shaping, url):
         viewers, footings, peak_mb = asyncio.run(play(server, shaping, url, 60 * minutes, seed))
         sessions = metric(server, "cags_sessions_total")
         server.stop()
