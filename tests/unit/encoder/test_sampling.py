@@ -7,7 +7,7 @@ import pytest
 
 from cags_common.errors import SceneError
 from cags_common.splats import Splats
-from cags_encoder.sampling import LOOKS, looked_at, training_splats
+from cags_encoder.sampling import FRAMES, looked_at, training_splats
 from support.raster_scenes import random_splats
 
 
@@ -16,11 +16,11 @@ def rows_of(some: Splats, of: Splats) -> np.ndarray:
     return np.isin(some.logit_opacities, of.logit_opacities)
 
 
-@pytest.mark.parametrize("frames", [1, 2, LOOKS, LOOKS + 1, 1000])
+@pytest.mark.parametrize("frames", [1, 2, FRAMES, FRAMES + 1, 1000])
 def test_frames_are_spread_over_the_clip(frames: int) -> None:
     looks = looked_at(frames)
     assert looks[0] == 0 and looks[-1] == frames - 1
-    assert looks == sorted(set(looks)) and len(looks) == min(frames, LOOKS)
+    assert looks == sorted(set(looks)) and len(looks) == min(frames, FRAMES)
 
 
 def test_half_of_the_subset_comes_from_what_changed() -> None:
@@ -45,3 +45,16 @@ def test_frames_of_another_degree_are_named() -> None:
     clip = [(0, random_splats(5)), (7, random_splats(5, degree=1))]
     with pytest.raises(SceneError, match="clip, frame 7: SH degree 1, but 0 before"):
         training_splats("clip", 2, clip, 10, seed=0)
+
+
+def test_opacities_of_one_splat_are_kept_where_all_others_turn_and_change_colour() -> None:
+    first, opacities = random_splats(1000, seed=1), np.float32([2, 3, 4, 5])
+    clip = [(0, first)]
+    for frame, opacity in enumerate(opacities, 1):
+        other = random_splats(1000, seed=10 + frame)
+        fading = first.logit_opacities.copy()
+        fading[7] = opacity
+        clip.append((frame, Splats(**{**dict(other.arrays()), "means": first.means, "logit_opacities": fading})))
+    chosen = training_splats("clip", 5, clip, 400, seed=0)
+    assert len(chosen) == 400
+    assert np.isin(opacities, chosen.logit_opacities).all()
