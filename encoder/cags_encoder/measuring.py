@@ -1,6 +1,10 @@
-"""LoD orders by the gain of each layer in pictures of the clip itself (paper, supplement, "LoD Assignment").
+"""What pictures of the clip itself decide: the step of positions, and the order of layers by their gain (paper,
+supplement, "LoD Assignment").
 
-The first frame is drawn from a few views for every attribute and number of its layers, with all layers of the other
+Positions come whole with the base, so their step must suit the highest level. Where flat splats of different colours
+overlap, small errors of depth change which one is in front, and the step is halved.
+
+For the order, the first frame is drawn from a few views for every attribute and number of its layers, with all layers of the other
 attributes. Squared errors of attributes nearly add up, so choosing the largest reduction per byte next is nearly
 optimal. The gain of each level is then measured along that order. Unlike in the paper no restoration is applied,
 because the client's restorer and references are not known here.
@@ -29,21 +33,32 @@ from cags_encoder.codecs.svq import SvqCodec
 
 VIEWS = 3
 
+POSITIONS_SHARE = 0.4
+"""Share of the squared error of looks with every layer that rounded positions may add."""
+
+UNSEEN_DB = 52.0
+"""PSNR of an error of positions that is tolerable whatever the looks are."""
+
+FINEST = 1 / 4
+"""Smallest step of positions, in steps of the configuration. Each halving takes 3 bits a splat of the base."""
+
 _OPTIONS = RenderOptions(depth=DepthKind.NONE)
 
 
 @dataclass(frozen=True)
 class LodMeasurement:
-    """The measured order and its gains."""
+    """The measured order and its gains, and the step of positions."""
 
     order: tuple[LodLayer, ...]
     gains_db: tuple[float, ...]
     """PSNR gained by each level of :attr:`order`."""
     quality: LodQuality
+    position_step: float
 
     def applied(self, codec: SvqCodec) -> SvqCodec:
-        """``codec`` with this order."""
-        return replace(codec, lod_order=self.order, lod_gains_db=self.gains_db)
+        """``codec`` with this order and step."""
+        step = self.position_step
+        return replace(codec, lod_order=self.order, lod_gains_db=self.gains_db, position_step=step)
 
 
 def measure(
@@ -52,9 +67,14 @@ def measure(
     cameras: Sequence[Camera],
     rasteriser: Rasteriser,
     tell: Callable[[int, int], None],
+    *,
+    finer: bool = True,
 ) -> LodMeasurement:
-    """The best LoD order of ``codec`` for ``splats`` [n] seen by ``cameras``, and the gain of each level."""
-    trial = _Trial(codec, splats, cameras, rasteriser)
+    """The best LoD order of ``codec`` for ``splats`` [n] seen by ``cameras``, and the gain of each level.
+
+    ``finer`` permits a finer step of positions than the codec's.
+    """
+    trial = _Trial(codec, splats, cameras, rasteriser, finer=finer)
     layers = [(b.attribute, layer) for b in codec.quantiser.books for layer in range(b.enhancement_layers)]
     steps, done = 2 * len(layers) + 2, 0
 
@@ -83,7 +103,7 @@ def measure(
         LevelQuality(lod, int(total), *seen.rounded())
         for lod, (total, seen) in enumerate(zip(np.cumsum(added), levels, strict=True))
     ]
-    return LodMeasurement(order, gains, LodQuality(tuple(alone), tuple(ladder)))
+    return LodMeasurement(order, gains, LodQuality(tuple(alone), tuple(ladder)), trial.position_step)
 
 
 @runtime_checkable
@@ -178,10 +198,38 @@ class _Views:
 class _Trial:
     """Renders of the splats with any number of layers, compared with the truth."""
 
-    def __init__(self, codec: SvqCodec, splats: Splats, cameras: Sequence[Camera], rasteriser: Rasteriser) -> None:
+    def __init__(
+        self, codec: SvqCodec, splats: Splats, cameras: Sequence[Camera], rasteriser: Rasteriser, *, finer: bool
+    ) -> None:
         self._codec, self._books = codec, codec.quantiser.books
         self._views = _Views(splats, cameras, rasteriser)
         self._coded = codec.quantise(codec.prepare(self._views.splats))
+        self._means = self._rounded()
+        if finer:
+            self._refine()
+
+    @property
+    def position_step(self) -> float:
+        """Step of positions, in radii of a tile's smaller splats."""
+        return self._codec.position_step
+
+    def _refine(self) -> None:
+        """Halve the step of positions until their error is small against that of looks, or cannot be seen."""
+        looks = self._views.look(self._codec.decode(self._coded)).error
+        allowed, finest = max(POSITIONS_SHARE * looks, 10 ** (-UNSEEN_DB / 10)), FINEST * self.position_step
+        while self.position_step > finest and self._views.look(self._moved()).error > allowed:
+            self._codec = replace(self._codec, position_step=self.position_step / 2)
+            self._means = self._rounded()
+
+    def _moved(self) -> Splats:
+        """The true splats at their rounded positions."""
+        return replace(self._views.splats, means=self._means)
+
+    def _rounded(self) -> F32:
+        """Positions [n, 3] as decoded, tile by tile."""
+        tiles = [self._coded.take(slice(a, b)) for a, b in tile_ranges(len(self._coded.means), KEY_TILE_SPLATS)]
+        grids = [(tile, self._codec.grid(tile)) for tile in tiles]
+        return np.concatenate([grid.dequantise(grid.quantise(tile.means)) for tile, grid in grids])
 
     def look(self, depths: Mapping[str, int]) -> _Seen:
         """Compare with ``depths[attribute]`` enhancement layers."""
@@ -189,7 +237,7 @@ class _Trial:
         for book in self._books:
             layers = 1 + depths.get(book.attribute, 0)
             values[book.attribute] = book.lookup(book.prefix(self._coded.codes[book.attribute], layers), layers)
-        return self._views.look(join_attributes(self._coded.means, values))
+        return self._views.look(join_attributes(self._means, values))
 
     def base_bytes(self) -> int:
         """Bytes of LoD 0 of the frame's tiles."""

@@ -248,17 +248,23 @@ class _Encoding:
         known = self._journal.note("order") if self._journal else None
         if known is not None:
             order = tuple(LodLayer(attribute, layer) for attribute, layer in known["order"])
-            return LodMeasurement(order, tuple(known["gains_db"]), LodQuality.from_json(known["quality"].encode()))
+            quality = LodQuality.from_json(known["quality"].encode())
+            return LodMeasurement(order, tuple(known["gains_db"]), quality, known["position_step"])
         rasteriser = create("auto")
         if rasteriser.name == "oracle":
             return None
         cameras = cameras_around(self._source.focus, self._source.up, VIEWS)
         first = self._source.frame(0)
-        found = measure(codec, first, cameras, rasteriser, lambda done, total: self._tell("order", done, total))
+        finer = self._settings.measures_positions
+        found = measure(
+            codec, first, cameras, rasteriser, lambda done, total: self._tell("order", done, total), finer=finer
+        )
         if self._journal:
             order_note = [[item.attribute, item.layer] for item in found.order]
             quality = found.quality.to_json().decode()
-            self._journal.write_note("order", {"order": order_note, "gains_db": found.gains_db, "quality": quality})
+            gains, step = found.gains_db, found.position_step
+            note = {"order": order_note, "gains_db": gains, "quality": quality, "position_step": step}
+            self._journal.write_note("order", note)
         return found
 
     def _manifest(self, codec: ClipCodec, clip: ClipEncoder) -> Manifest:

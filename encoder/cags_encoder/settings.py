@@ -33,7 +33,8 @@ class EncodeSettings:
     )
     position_step: float | None = setting(
         None,
-        "step of positions, in radii of a tile's smaller splats (lower quartile); default: the quantiser's, or 1/8",
+        "step of positions, in radii of a tile's smaller splats (lower quartile); default: by measurement, from 1/8 "
+        "(the quantiser's) to 1/32",
         low=1e-4,
         high=10,
     )
@@ -79,6 +80,11 @@ class EncodeSettings:
         check_settings(self)
         if self.prune and self.prune_psnr_db is not None:
             raise ConfigError(f"prune = {self.prune} and prune_psnr_db = {self.prune_psnr_db}: give one of them")
+
+    @property
+    def measures_positions(self) -> bool:
+        """Whether measurement chooses the step of positions: neither these settings nor the paper say it."""
+        return self.position_step is None and self.position_bits is None and not self.quantiser.startswith("paper")
 
 
 @dataclass(frozen=True)

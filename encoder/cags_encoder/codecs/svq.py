@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 SMALL_SPLATS = 0.25
 """Quantile of a tile's radii that determines its position step."""
 
+COARSE_STEP = 1.0
+"""Step of positions that motion refines, in radii of a tile's smaller splats."""
+
 MIN_POSITION_BITS = 4
 
 
@@ -35,8 +38,8 @@ class SvqSplats:
     means: F32  # [n, 3] unquantised
     radii: F32  # [n] standard deviation along the middle axis, metres
     codes: dict[str, U32]  # attribute -> [n] codes of full length
-    coarser: float = 1.0
-    """Factor of the position step, for positions that motion refines."""
+    refined: bool = False
+    """Whether motion refines the positions, which then have :data:`COARSE_STEP`."""
 
     def take(self, rows: NDArray[Any] | slice) -> SvqSplats:
         """The splats at ``rows``."""
@@ -110,11 +113,8 @@ class SvqCodec:
         """A tile's grid, fine enough for the smaller ones of its splats: an error shows against a splat's own size."""
         if self.position_bits is not None:
             return PositionGrid.over(coded.means, self.position_bits)
-        step = (
-            coded.coarser * self.position_step * float(np.quantile(coded.radii, SMALL_SPLATS))
-            if len(coded.radii)
-            else 1.0
-        )
+        radii = COARSE_STEP if coded.refined else self.position_step
+        step = radii * float(np.quantile(coded.radii, SMALL_SPLATS)) if len(coded.radii) else 1.0
         extent = float(np.ptp(coded.means.astype(np.float64), axis=0).max(initial=0.0)) if len(coded.means) else 0.0
         bits = math.ceil(math.log2(extent / max(step, 1e-30) + 1))
         return PositionGrid.over(coded.means, min(max(bits, MIN_POSITION_BITS), MAX_POSITION_BITS))

@@ -43,11 +43,6 @@ SHARE = 0.25
 COLUMNS = {"scale": "log_scales", "sh0": "sh0", "sh_rest": "sh_rest"}
 """Attributes that can be sent alone, and their columns of :class:`Splats`."""
 
-COARSER = 8.0
-"""Factor of the position step of new splats that move or end soon. Their grid then has a step of about one standard
-deviation, and their chunk refines positions in levels, by each splat's own size.
-"""
-
 MOVED = 0.05
 """Motion, in standard deviations, from which on a new splat counts as moving."""
 
@@ -182,7 +177,7 @@ class MovingGroups:
         moved = np.where(window.present, away, 0.0).max(axis=0) > MOVED * tile.coded.radii
         if last == frame or (moved | ~window.present[-1]).mean() <= 0.5:
             return tile
-        return replace(tile, coded=replace(tile.coded, coarser=COARSER))
+        return replace(tile, coded=replace(tile.coded, refined=True))
 
     def _hold(self, ids: Ids, shown: Splats) -> None:
         if self._held is None:
@@ -195,8 +190,7 @@ class MovingGroups:
         base = self._books["scale"].layer(coded.codes["scale"], 0)
         is_round = np.ptp(source.log_scales, axis=1) < np.log(ROUND)
         steps = Steps(self._steps.moves[base], self._steps.turns[base])
-        refined = coded.coarser > 1.0
-        return _Track(key, tile.ids, shown.means, source.quats, steps, is_round, key[0], self._span, refined=refined)
+        return _Track(key, tile.ids, shown.means, source.quats, steps, is_round, key[0], self._span, refined=coded.refined)
 
     # ------------------------------------------------------------------------------------------------------- updates
 

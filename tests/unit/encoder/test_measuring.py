@@ -1,12 +1,19 @@
+"""What the encoder measures in pictures of the clip: the order of layers and the step of positions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from cags_common.bundle.quality import LodQuality
 from cags_common.raster import create
+from cags_common.splats import Splats
 from cags_common.tiles.lod import LodLayer, check_order
 from cags_encoder import EncodeSettings
 from cags_encoder.codecs.svq import SvqCodec
-from cags_encoder.measuring import cheapest_first, measure
+from cags_encoder.measuring import LodMeasurement, cheapest_first, measure
 from cags_encoder.scenes import Focus
 from cags_encoder.views import cameras_around
 from support.codec_scenes import cloud
@@ -33,6 +40,48 @@ def test_views_look_at_the_centre_from_all_sides() -> None:
         seen = rotation @ np.array([1.0, 2.0, 3.0]) + translation
         assert np.allclose(seen[:2], 0, atol=1e-9) and seen[2] > 2.0
     assert np.linalg.norm(np.mean([camera.pose.position for camera in cameras], axis=0) - [1, 2, 3]) < 2.0
+
+
+def walls() -> Splats:
+    """Flat splats of two colours, in two sheets hardly more than a thickness apart."""
+    rng, n, thickness = np.random.default_rng(4), 1200, 0.002
+    base = cloud(n, 4)
+    means = rng.uniform(-1, 1, (n, 3))
+    means[:, 2] = np.where(np.arange(n) % 2, 0.0, 1.5 * thickness)
+    colours = np.where(np.arange(n)[:, None] % 2, [[1.5, -1.0, -1.0]], [[-1.0, -1.0, 1.5]])
+    return replace(
+        base,
+        means=means.astype(np.float32),
+        quats=np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
+        log_scales=np.log(np.tile(np.float32([0.06, 0.05, thickness]), (n, 1))),
+        logit_opacities=np.full(n, 3, np.float32),
+        sh0=colours.astype(np.float32),
+    )
+
+
+@pytest.mark.parametrize(("splats", "finer"), [(walls(), True), (cloud(1500, 3), False)], ids=["walls", "cloud"])
+def test_positions_are_as_fine_as_the_order_of_overlapping_splats_needs(splats: Splats, *, finer: bool) -> None:
+    rasteriser = create("auto")
+    if rasteriser.name == "oracle":
+        pytest.skip("the native kernels are not installed; measuring needs dozens of renders")
+    codec, cameras = SvqCodec.train(splats, EncodeSettings()), cameras_around(Focus((0, 0, 0), 2.0), (0, 1, 0), 3)
+
+    def chosen(codec: SvqCodec, *, finer: bool) -> LodMeasurement:
+        return measure(codec, splats, cameras, rasteriser, lambda *_: None, finer=finer)
+
+    found, coarse = chosen(codec, finer=True), chosen(codec, finer=False)
+    assert (found.position_step < codec.position_step) == finer
+    assert found.position_step >= codec.position_step / 4 and coarse.position_step == codec.position_step
+    assert found.applied(codec).position_step == found.position_step
+    if finer:
+        best, before = found.quality.ladder[-1], coarse.quality.ladder[-1]
+        assert best.psnr_db > before.psnr_db + 3 and best.size_bytes > before.size_bytes, "each halving takes 3 bits"
+
+
+def test_steps_that_are_given_or_published_are_not_measured() -> None:
+    assert EncodeSettings().measures_positions
+    given = ({"position_step": 0.125}, {"position_bits": 14}, {"quantiser": "paper-66"})
+    assert not any(EncodeSettings(**each).measures_positions for each in given)
 
 
 def test_a_measured_order_is_complete_and_its_gains_add_up() -> None:
