@@ -2,7 +2,8 @@
 supplement, "LoD Assignment").
 
 Positions come whole with the base, so their step must suit the highest level. Where flat splats of different colours
-overlap, small errors of depth change which one is in front, and the step is halved.
+overlap, small errors of depth change which one is in front, and the step is halved. Gains of layers are measured at
+exact positions, because those of splats that move are refined with their motion.
 
 For the order, the first frame is drawn from a few views for every attribute and number of its layers, with all layers of the other
 attributes. Squared errors of attributes nearly add up, so choosing the largest reduction per byte next is nearly
@@ -36,7 +37,7 @@ VIEWS = 3
 POSITIONS_SHARE = 0.4
 """Share of the squared error of looks with every layer that rounded positions may add."""
 
-UNSEEN_DB = 52.0
+UNSEEN_DB = 55.0
 """PSNR of an error of positions that is tolerable whatever the looks are."""
 
 FINEST = 1 / 4
@@ -204,7 +205,6 @@ class _Trial:
         self._codec, self._books = codec, codec.quantiser.books
         self._views = _Views(splats, cameras, rasteriser)
         self._coded = codec.quantise(codec.prepare(self._views.splats))
-        self._means = self._rounded()
         if finer:
             self._refine()
 
@@ -217,19 +217,15 @@ class _Trial:
         """Halve the step of positions until their error is small against that of looks, or cannot be seen."""
         looks = self._views.look(self._codec.decode(self._coded)).error
         allowed, finest = max(POSITIONS_SHARE * looks, 10 ** (-UNSEEN_DB / 10)), FINEST * self.position_step
-        while self.position_step > finest and self._views.look(self._moved()).error > allowed:
+        while self.position_step > finest and self._views.look(self._rounded()).error > allowed:
             self._codec = replace(self._codec, position_step=self.position_step / 2)
-            self._means = self._rounded()
 
-    def _moved(self) -> Splats:
-        """The true splats at their rounded positions."""
-        return replace(self._views.splats, means=self._means)
-
-    def _rounded(self) -> F32:
-        """Positions [n, 3] as decoded, tile by tile."""
+    def _rounded(self) -> Splats:
+        """The true splats at positions as decoded, tile by tile."""
         tiles = [self._coded.take(slice(a, b)) for a, b in tile_ranges(len(self._coded.means), KEY_TILE_SPLATS)]
         grids = [(tile, self._codec.grid(tile)) for tile in tiles]
-        return np.concatenate([grid.dequantise(grid.quantise(tile.means)) for tile, grid in grids])
+        means = np.concatenate([grid.dequantise(grid.quantise(tile.means)) for tile, grid in grids])
+        return replace(self._views.splats, means=means)
 
     def look(self, depths: Mapping[str, int]) -> _Seen:
         """Compare with ``depths[attribute]`` enhancement layers."""
@@ -237,7 +233,7 @@ class _Trial:
         for book in self._books:
             layers = 1 + depths.get(book.attribute, 0)
             values[book.attribute] = book.lookup(book.prefix(self._coded.codes[book.attribute], layers), layers)
-        return self._views.look(join_attributes(self._means, values))
+        return self._views.look(join_attributes(self._coded.means, values))
 
     def base_bytes(self) -> int:
         """Bytes of LoD 0 of the frame's tiles."""

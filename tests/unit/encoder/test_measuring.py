@@ -74,8 +74,7 @@ def test_positions_are_as_fine_as_the_order_of_overlapping_splats_needs(splats: 
     assert found.position_step >= codec.position_step / 4 and coarse.position_step == codec.position_step
     assert found.applied(codec).position_step == found.position_step
     if finer:
-        best, before = found.quality.ladder[-1], coarse.quality.ladder[-1]
-        assert best.psnr_db > before.psnr_db + 3 and best.size_bytes > before.size_bytes, "each halving takes 3 bits"
+        assert found.quality.ladder[-1].size_bytes > coarse.quality.ladder[-1].size_bytes, "a halving takes 3 bits"
 
 
 def test_steps_that_are_given_or_published_are_not_measured() -> None:
