@@ -47,8 +47,10 @@ LEAST_GAIN_DB = 0.005
 """Smallest gain of a layer, so that layers without measured gain still use free budget."""
 
 
-KNOWN_HULLS = 4096
-"""Number of tiles whose runs are cached; most tiles do not change between frames."""
+KNOWN_HULLS = 512
+"""Number of tiles whose runs are cached (1.5 kB each); most tiles do not change between frames, and what changes is not
+asked for again.
+"""
 
 
 @dataclass(frozen=True, slots=True)
