@@ -2,8 +2,8 @@
 supplement, "LoD Assignment").
 
 Positions come whole with the base, so their step must suit the highest level. Where flat splats of different colours
-overlap, small errors of depth change which one is in front, and the step is halved. Gains of layers are measured at
-exact positions, because those of splats that move are refined with their motion.
+overlap, small errors of depth change which one is in front, and the step is halved. Splats that move do not count here,
+because chunks of motion refine their positions; therefore gains of layers are measured at exact positions, too.
 
 For the order, the first frame is drawn from a few views for every attribute and number of its layers, with all layers of the other
 attributes. Squared errors of attributes nearly add up, so choosing the largest reduction per byte next is nearly
@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cags_common.bundle.quality import LayerQuality, LevelQuality, LodQuality
 from cags_common.geometry import F32, Camera
@@ -68,14 +69,15 @@ def measure(
     cameras: Sequence[Camera],
     rasteriser: Rasteriser,
     tell: Callable[[int, int], None],
-    *,
-    finer: bool = True,
+    still: NDArray[np.bool_] | None = None,
 ) -> LodMeasurement:
     """The best LoD order of ``codec`` for ``splats`` [n] seen by ``cameras``, and the gain of each level.
 
-    ``finer`` permits a finer step of positions than the codec's.
+    The step of positions becomes as fine as those of ``still`` [n] splats need; None: it stays the codec's.
     """
-    trial = _Trial(codec, splats, cameras, rasteriser, finer=finer)
+    trial = _Trial(codec, splats, cameras, rasteriser)
+    if still is not None:
+        trial.refine(still)
     layers = [(b.attribute, layer) for b in codec.quantiser.books for layer in range(b.enhancement_layers)]
     steps, done = 2 * len(layers) + 2, 0
 
@@ -105,6 +107,18 @@ def measure(
         for lod, (total, seen) in enumerate(zip(np.cumsum(added), levels, strict=True))
     ]
     return LodMeasurement(order, gains, LodQuality(tuple(alone), tuple(ladder)), trial.position_step)
+
+
+def standing(splats: Splats, later: Splats, codec: SvqCodec) -> NDArray[np.bool_]:
+    """Which ``splats`` [n] stand still: some splat of a ``later`` frame is where they are."""
+    from scipy.spatial import cKDTree
+
+    if not len(later):
+        return np.zeros(len(splats), np.bool_)
+    away, _ = cKDTree(later.means).query(splats.means)
+    radii = np.exp(np.clip(np.median(splats.log_scales, axis=1), -30, 30))
+    still: NDArray[np.bool_] = away < codec.position_step / 4 * radii
+    return still
 
 
 @runtime_checkable
@@ -177,7 +191,8 @@ class _Views:
 
     def __init__(self, splats: Splats, cameras: Sequence[Camera], rasteriser: Rasteriser) -> None:
         self._cameras, self._rasteriser = cameras, rasteriser
-        self.splats = splats.take(morton_order(splats.means))
+        self.order = morton_order(splats.means)
+        self.splats = splats.take(self.order)
         """The truth, in the order of tiles."""
         self._truth = self._draw(self.splats)
 
@@ -199,33 +214,32 @@ class _Views:
 class _Trial:
     """Renders of the splats with any number of layers, compared with the truth."""
 
-    def __init__(
-        self, codec: SvqCodec, splats: Splats, cameras: Sequence[Camera], rasteriser: Rasteriser, *, finer: bool
-    ) -> None:
+    def __init__(self, codec: SvqCodec, splats: Splats, cameras: Sequence[Camera], rasteriser: Rasteriser) -> None:
         self._codec, self._books = codec, codec.quantiser.books
         self._views = _Views(splats, cameras, rasteriser)
         self._coded = codec.quantise(codec.prepare(self._views.splats))
-        if finer:
-            self._refine()
 
     @property
     def position_step(self) -> float:
         """Step of positions, in radii of a tile's smaller splats."""
         return self._codec.position_step
 
-    def _refine(self) -> None:
-        """Halve the step of positions until their error is small against that of looks, or cannot be seen."""
+    def refine(self, still: NDArray[np.bool_]) -> None:
+        """Halve the step of positions until the error of ``still`` splats [n] is small against that of looks, or cannot
+        be seen.
+        """
+        still = still[self._views.order]
         looks = self._views.look(self._codec.decode(self._coded)).error
         allowed, finest = max(POSITIONS_SHARE * looks, 10 ** (-UNSEEN_DB / 10)), FINEST * self.position_step
-        while self.position_step > finest and self._views.look(self._rounded()).error > allowed:
+        while self.position_step > finest and self._views.look(self._rounded(still)).error > allowed:
             self._codec = replace(self._codec, position_step=self.position_step / 2)
 
-    def _rounded(self) -> Splats:
-        """The true splats at positions as decoded, tile by tile."""
+    def _rounded(self, still: NDArray[np.bool_]) -> Splats:
+        """The true splats, ``still`` ones at positions as decoded, tile by tile."""
         tiles = [self._coded.take(slice(a, b)) for a, b in tile_ranges(len(self._coded.means), KEY_TILE_SPLATS)]
         grids = [(tile, self._codec.grid(tile)) for tile in tiles]
         means = np.concatenate([grid.dequantise(grid.quantise(tile.means)) for tile, grid in grids])
-        return replace(self._views.splats, means=means)
+        return replace(self._views.splats, means=np.where(still[:, None], means, self._coded.means))
 
     def look(self, depths: Mapping[str, int]) -> _Seen:
         """Compare with ``depths[attribute]`` enhancement layers."""

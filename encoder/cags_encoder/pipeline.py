@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cags_common.bundle import BundleWriter, Manifest, Pruning
 from cags_common.bundle.first_view import thumbnail
@@ -27,7 +28,7 @@ from cags_encoder.codecs.svq import SvqCodec
 from cags_encoder.execution.executors import INLINE, Shared, Workers, ahead
 from cags_encoder.execution.journal import Journal
 from cags_encoder.frames.tasks import read
-from cags_encoder.measuring import VIEWS, Levelled, LodMeasurement, measure, measured_gains
+from cags_encoder.measuring import VIEWS, Levelled, LodMeasurement, measure, measured_gains, standing
 from cags_encoder.motion.steps import motion_steps
 from cags_encoder.motion.tolerance import Looked, Tolerance, Tolerances, tolerances
 from cags_encoder.pruning import prune, prune_within
@@ -243,6 +244,12 @@ class _Encoding:
         self._tell("codebooks", 0, 1)
         return samples
 
+    def _standing(self, codec: SvqCodec, first: Splats) -> NDArray[np.bool_]:
+        """Which splats of the first frame are shown where their looks say, without chunks of motion."""
+        if self._count == 1 or self._settings.motion == "none":
+            return np.ones(len(first), np.bool_)
+        return standing(first, self._source.frame(min(self._settings.motion_span, self._count - 1)), codec)
+
     def _measurement(self, codec: SvqCodec) -> LodMeasurement | None:
         """The measured LoD order, if the rasteriser is fast enough for dozens of renders."""
         known = self._journal.note("order") if self._journal else None
@@ -255,10 +262,8 @@ class _Encoding:
             return None
         cameras = cameras_around(self._source.focus, self._source.up, VIEWS)
         first = self._source.frame(0)
-        finer = self._settings.measures_positions
-        found = measure(
-            codec, first, cameras, rasteriser, lambda done, total: self._tell("order", done, total), finer=finer
-        )
+        still = self._standing(codec, first) if self._settings.measures_positions else None
+        found = measure(codec, first, cameras, rasteriser, lambda done, total: self._tell("order", done, total), still)
         if self._journal:
             order_note = [[item.attribute, item.layer] for item in found.order]
             quality = found.quality.to_json().decode()

@@ -92,8 +92,8 @@ def train(source: FrameSource, splats: Splats, variant: Variant) -> SvqCodec:
     if not variant.measured:
         return codec
     cameras = cameras_around(source.focus, source.up, VIEWS)
-    finer = variant.settings.measures_positions
-    return measure(codec, splats, cameras, rasteriser, lambda at, end: None, finer=finer).applied(codec)
+    still = np.ones(len(splats), np.bool_) if variant.settings.measures_positions else None
+    return measure(codec, splats, cameras, rasteriser, lambda at, end: None, still).applied(codec)
 
 
 def encode(codec: SvqCodec, splats: Splats) -> list[Tile]:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from cags_common.bundle.quality import LodQuality
 from cags_common.raster import create
@@ -13,7 +14,7 @@ from cags_common.splats import Splats
 from cags_common.tiles.lod import LodLayer, check_order
 from cags_encoder import EncodeSettings
 from cags_encoder.codecs.svq import SvqCodec
-from cags_encoder.measuring import LodMeasurement, cheapest_first, measure
+from cags_encoder.measuring import LodMeasurement, cheapest_first, measure, standing
 from cags_encoder.scenes import Focus
 from cags_encoder.views import cameras_around
 from support.codec_scenes import cloud
@@ -66,15 +67,26 @@ def test_positions_are_as_fine_as_the_order_of_overlapping_splats_needs(splats: 
         pytest.skip("the native kernels are not installed; measuring needs dozens of renders")
     codec, cameras = SvqCodec.train(splats, EncodeSettings()), cameras_around(Focus((0, 0, 0), 2.0), (0, 1, 0), 3)
 
-    def chosen(codec: SvqCodec, *, finer: bool) -> LodMeasurement:
-        return measure(codec, splats, cameras, rasteriser, lambda *_: None, finer=finer)
+    def chosen(still: NDArray[np.bool_] | None) -> LodMeasurement:
+        return measure(codec, splats, cameras, rasteriser, lambda *_: None, still)
 
-    found, coarse = chosen(codec, finer=True), chosen(codec, finer=False)
+    n = len(splats)
+    found, coarse, moving = (chosen(still) for still in (np.ones(n, np.bool_), None, np.zeros(n, np.bool_)))
+    assert moving.position_step == codec.position_step, "chunks refine the positions of what moves"
     assert (found.position_step < codec.position_step) == finer
     assert found.position_step >= codec.position_step / 4 and coarse.position_step == codec.position_step
     assert found.applied(codec).position_step == found.position_step
     if finer:
         assert found.quality.ladder[-1].size_bytes > coarse.quality.ladder[-1].size_bytes, "a halving takes 3 bits"
+
+
+def test_what_stands_still_is_found_whatever_the_order_of_rows() -> None:
+    first = cloud(1000, 5)
+    shifted = first.means + np.where(np.arange(1000)[:, None] < 300, np.float32(0.5), np.float32(0))
+    later = replace(first, means=shifted.astype(np.float32)).take(np.random.default_rng(0).permutation(1000))
+    still = standing(first, later, SvqCodec.train(first, EncodeSettings()))
+    assert still[300:].all() and not still[:300].any()
+    assert not standing(first, later.take(slice(0, 0)), SvqCodec.train(first, EncodeSettings())).any()
 
 
 def test_steps_that_are_given_or_published_are_not_measured() -> None:

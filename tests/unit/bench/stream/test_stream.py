@@ -184,7 +184,7 @@ def test_a_play_that_lacks_a_figure_takes_it_out_of_the_comparison(
 
 
 def test_people_get_a_row_a_play_and_a_line_a_difference(settings: StreamSettings) -> None:
-    lines = list(stream_lines(replace(settings, compare="references=none,auto", seeds=2)))
+    lines = list(stream_lines(replace(settings, compare="references=none,auto", seeds=3)))
     said = io.StringIO()
     print_plays(iter(lines), said)
     text = said.getvalue()
@@ -195,7 +195,7 @@ def test_people_get_a_row_a_play_and_a_line_a_difference(settings: StreamSetting
             if r.lstrip().startswith(f"{play['case']}, seed {play['seed']}") and f"{play['psnr_restored_db']:.2f}" in r
         ]
         assert f"{play['flicker_restored']:.2f}" in row
-    assert "auto minus none: mean over 2 seeds" in text
+    assert "auto minus none: mean over 3 seeds" in text
     assert any("references [MB]" in row and "more" in row for row in text.splitlines())
     assert max(len(row) for row in text.splitlines()) <= 130
 
