@@ -5,9 +5,9 @@ Positions come whole with the base, so their step must suit the highest level. W
 overlap, small errors of depth change which one is in front, and the step is halved. Splats that move do not count here,
 because chunks of motion refine their positions; therefore gains of layers are measured at exact positions, too.
 
-For the order, the first frame is drawn from a few views for every attribute and number of its layers, with all layers of the other
-attributes. Squared errors of attributes nearly add up, so choosing the largest reduction per byte next is nearly
-optimal. The gain of each level is then measured along that order. Unlike in the paper no restoration is applied,
+For the order, the first frame is drawn from a few views for every attribute and number of its layers, with all layers
+of the other attributes. Squared errors of attributes nearly add up, so choosing the largest reduction per byte next is
+nearly optimal. The gain of each level is then measured along that order. Unlike in the paper no restoration is applied,
 because the client's restorer and references are not known here.
 """
 
@@ -69,6 +69,7 @@ def measure(
     cameras: Sequence[Camera],
     rasteriser: Rasteriser,
     tell: Callable[[int, int], None],
+    *,
     still: NDArray[np.bool_] | None = None,
 ) -> LodMeasurement:
     """The best LoD order of ``codec`` for ``splats`` [n] seen by ``cameras``, and the gain of each level.

@@ -263,12 +263,19 @@ class _Encoding:
         cameras = cameras_around(self._source.focus, self._source.up, VIEWS)
         first = self._source.frame(0)
         still = self._standing(codec, first) if self._settings.measures_positions else None
-        found = measure(codec, first, cameras, rasteriser, lambda done, total: self._tell("order", done, total), still)
+
+        def tell(done: int, total: int) -> None:
+            self._tell("order", done, total)
+
+        found = measure(codec, first, cameras, rasteriser, tell, still=still)
         if self._journal:
             order_note = [[item.attribute, item.layer] for item in found.order]
-            quality = found.quality.to_json().decode()
-            gains, step = found.gains_db, found.position_step
-            note = {"order": order_note, "gains_db": gains, "quality": quality, "position_step": step}
+            note = {
+                "order": order_note,
+                "gains_db": found.gains_db,
+                "quality": found.quality.to_json().decode(),
+                "position_step": found.position_step,
+            }
             self._journal.write_note("order", note)
         return found
 

@@ -53,22 +53,6 @@ def check_degree(splats: Splats, degree: int, where: str) -> None:
         raise SceneError(f"{where}: SH degree {splats.sh_degree}, but {degree} before; make the frames equal")
 
 
-def check_degree(splats: Splats, degree: int, where: str) -> None:
-    """Raise :class:`SceneError` naming ``where`` unless ``splats`` have this SH degree. A clip has one degree."""
-    if splats.sh_degree != degree:
-        raise SceneError(f"{where}: SH degree {splats.sh_degree}, but {degree} before; make the frames equal")
-
-
-def _changed(splats: Splats, known: tuple[U64, U64], count: int, random: np.random.Generator) -> Splats:
-    """At most ``count`` of the splats whose keys are not ``known``: half of them have other looks, if there are so many.
-
-    Many splats turn and few change their looks, but these few need codes of their own.
-    """
-    turned, looks = (~np.isin(_keys(splats, of), keys) for of, keys in zip((TURNED, LOOKS), known, strict=True))
-    other = _draw(splats.take(looks), max(count // 2, count - int((turned & ~looks).sum())), random)
-    return Splats.concatenate([other, _draw(splats.take(turned & ~looks), count - len(other), random)])
-
-
 def _changed(fresh: Mapping[str, Mask], count: int, random: np.random.Generator) -> NDArray[np.int64]:
     """At most ``count`` rows of splats, ascending, each with an attribute that is ``fresh``.
 

@@ -93,7 +93,7 @@ def train(source: FrameSource, splats: Splats, variant: Variant) -> SvqCodec:
         return codec
     cameras = cameras_around(source.focus, source.up, VIEWS)
     still = np.ones(len(splats), np.bool_) if variant.settings.measures_positions else None
-    return measure(codec, splats, cameras, rasteriser, lambda at, end: None, still).applied(codec)
+    return measure(codec, splats, cameras, rasteriser, lambda at, end: None, still=still).applied(codec)
 
 
 def encode(codec: SvqCodec, splats: Splats) -> list[Tile]:

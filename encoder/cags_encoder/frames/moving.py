@@ -190,7 +190,9 @@ class MovingGroups:
         base = self._books["scale"].layer(coded.codes["scale"], 0)
         is_round = np.ptp(source.log_scales, axis=1) < np.log(ROUND)
         steps = Steps(self._steps.moves[base], self._steps.turns[base])
-        return _Track(key, tile.ids, shown.means, source.quats, steps, is_round, key[0], self._span, refined=coded.refined)
+        return _Track(
+            key, tile.ids, shown.means, source.quats, steps, is_round, key[0], self._span, refined=coded.refined
+        )
 
     # ------------------------------------------------------------------------------------------------------- updates
 

@@ -53,8 +53,8 @@ def walls() -> Splats:
     return replace(
         base,
         means=means.astype(np.float32),
-        quats=np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
-        log_scales=np.log(np.tile(np.float32([0.06, 0.05, thickness]), (n, 1))),
+        quats=np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)).astype(np.float32),
+        log_scales=np.log(np.tile([0.06, 0.05, thickness], (n, 1))).astype(np.float32),
         logit_opacities=np.full(n, 3, np.float32),
         sh0=colours.astype(np.float32),
     )
@@ -68,7 +68,7 @@ def test_positions_are_as_fine_as_the_order_of_overlapping_splats_needs(splats: 
     codec, cameras = SvqCodec.train(splats, EncodeSettings()), cameras_around(Focus((0, 0, 0), 2.0), (0, 1, 0), 3)
 
     def chosen(still: NDArray[np.bool_] | None) -> LodMeasurement:
-        return measure(codec, splats, cameras, rasteriser, lambda *_: None, still)
+        return measure(codec, splats, cameras, rasteriser, lambda *_: None, still=still)
 
     n = len(splats)
     found, coarse, moving = (chosen(still) for still in (np.ones(n, np.bool_), None, np.zeros(n, np.bool_)))

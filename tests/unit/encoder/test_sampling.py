@@ -48,7 +48,7 @@ def test_frames_of_another_degree_are_named() -> None:
 
 
 def test_opacities_of_one_splat_are_kept_where_all_others_turn_and_change_colour() -> None:
-    first, opacities = random_splats(1000, seed=1), np.float32([2, 3, 4, 5])
+    first, opacities = random_splats(1000, seed=1), np.array([2, 3, 4, 5], np.float32)
     clip = [(0, first)]
     for frame, opacity in enumerate(opacities, 1):
         other = random_splats(1000, seed=10 + frame)
