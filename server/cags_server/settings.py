@@ -36,7 +36,7 @@ class ServerSettings:
         "and none",
         research=True,
     )
-    lead_frames: int = setting(4, "frames between planning a frame and its display", low=1, high=60)
+    lead_frames: int = setting(6, "frames between planning a frame and its display", low=1, high=60)
     references: str = setting(
         "auto",
         "content of references: difference to the client's splats, picture of the scene, auto (the better of the two) "
