@@ -83,7 +83,8 @@ class App:
         self._executor = RenderPool(settings.workers, self._served)
         self._uploads = Uploads(scenes, settings, self._streams) if settings.accept_uploads else None
         self._ended = Totals()
-        self._memory, self._book = FreedMemory(lambda: self._clients), SessionBook()
+        self._memory = FreedMemory(lambda: self._clients, scenes.forget_decoded)
+        self._book = SessionBook()
         self._draining = False
         if not scenes.several:
             self._executor.submit(scenes.library(None).warm)

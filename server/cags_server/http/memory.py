@@ -17,6 +17,11 @@ QUIET_S = 1.0
 
 LEAST_INTERVAL_S = 5.0
 
+UNWATCHED_S = 10.0
+"""Time without viewers after which what was kept for further ones is dropped, too: a page that is loaded again needs
+it.
+"""
+
 M_ARENA_MAX, ARENAS = -8, 2
 """Of ``mallopt``: threads share so many arenas."""
 
@@ -24,10 +29,13 @@ M_ARENA_MAX, ARENAS = -8, 2
 class FreedMemory:
     """Gives memory back once sessions have ended, seldom enough to cost nothing."""
 
-    def __init__(self, watched: Callable[[], object]) -> None:
-        """``watched()`` says whether a long collection would delay anybody."""
-        self._watched = watched
+    def __init__(self, watched: Callable[[], object], forget: Callable[[], object] = lambda: None) -> None:
+        """``watched()`` says whether a long collection would delay anybody. ``forget()`` drops what was kept for
+        further viewers.
+        """
+        self._watched, self._forget = watched, forget
         self._timer: asyncio.TimerHandle | None = None
+        self._unwatched: asyncio.TimerHandle | None = None
         self._last_s = float("-inf")
         self._trim = _trimmer()
 
@@ -40,14 +48,25 @@ class FreedMemory:
 
     def close(self) -> None:
         """The server ends."""
-        if self._timer is not None:
-            self._timer.cancel()
+        for timer in (self._timer, self._unwatched):
+            if timer is not None:
+                timer.cancel()
 
     def _give_back(self, loop: asyncio.AbstractEventLoop) -> None:
         self._timer, self._last_s = None, loop.time()
         # asyncio's transports are reference cycles; those of long sessions are in the oldest generation.
-        gc.collect(1 if self._watched() else 2)
+        watched = self._watched()
+        gc.collect(1 if watched else 2)
         loop.run_in_executor(None, self._trim)
+        if not watched:
+            if self._unwatched is not None:
+                self._unwatched.cancel()
+            self._unwatched = loop.call_later(UNWATCHED_S, self._drop, loop)
+
+    def _drop(self, loop: asyncio.AbstractEventLoop) -> None:
+        if not self._watched():
+            self._forget()
+            loop.run_in_executor(None, self._trim)
 
 
 def share_arenas() -> None:

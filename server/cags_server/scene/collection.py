@@ -129,6 +129,13 @@ class Collection:
         with self._lock:
             return sum(library.decoded.nbytes for library in self._watched.values())
 
+    def forget_decoded(self) -> None:
+        """Drop the decoded tiles of all scenes that are open, which nobody watches."""
+        with self._lock:
+            libraries = list(self._watched.values())
+        for library in libraries:
+            library.decoded.forget()
+
     def add(self, place: Path) -> str:
         """Take in the bundle in a folder; its name. Raises :class:`BundleError` or :class:`DecodeError`."""
         reader = BundleReader.open(str(place))

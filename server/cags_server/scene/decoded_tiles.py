@@ -82,6 +82,11 @@ class DecodedTiles:
         """Bytes of all tiles kept."""
         return self._recent.bytes
 
+    def forget(self) -> None:
+        """Drop all tiles; they are decoded again when needed."""
+        with self._lock:
+            self._recent.clear()
+
     def entry(self, key: Key) -> TileEntry:
         """What the bundle's index says of a tile."""
         return self._reader.frame(key[0]).tiles[key[1]]

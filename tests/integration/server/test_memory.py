@@ -66,6 +66,24 @@ async def test_memory_is_given_back_once_for_many_ends(monkeypatch: pytest.Monke
     assert 1 <= trims <= 1 + (time.monotonic() - begun) / 0.2, "once in an interval"
 
 
+@pytest.mark.parametrize("returns", [True, False])
+async def test_what_was_kept_for_further_viewers_is_dropped_once_nobody_has_watched_for_a_while(
+    monkeypatch: pytest.MonkeyPatch, returns: bool
+) -> None:
+    monkeypatch.setattr(memory, "QUIET_S", 0.01)
+    monkeypatch.setattr(memory, "UNWATCHED_S", 0.1)
+    watching, dropped = [False], []
+    freed = memory.FreedMemory(lambda: watching[0], lambda: dropped.append(True))
+    try:
+        freed.session_ended()
+        await asyncio.sleep(0.05)
+        watching[0] = returns
+        await asyncio.sleep(0.15)
+        assert dropped == ([] if returns else [True])
+    finally:
+        freed.close()
+
+
 class Cycle:
     """What only a collection ends."""
 

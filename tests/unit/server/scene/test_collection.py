@@ -94,6 +94,16 @@ def test_decoded_tiles_of_a_scene_are_bounded(folder: Path) -> None:
     assert kept[0] < kept[1], "the newest one alone"
 
 
+def test_decoded_tiles_are_dropped_and_made_again(folder: Path) -> None:
+    scenes = Collection.open(str(folder), lambda: RASTERISER)
+    library = scenes.library("two")
+    before = library.decoded.at((0, 0), 0b11)
+    assert scenes.decoded_bytes > 0
+    scenes.forget_decoded()
+    assert scenes.decoded_bytes == 0
+    assert library.decoded.at((0, 0), 0b11).nbytes == before.nbytes and library.decoded.made == 2
+
+
 def test_a_thumbnail_is_the_bundles_or_drawn(folder: Path, tmp_path: Path) -> None:
     scenes = Collection.open(str(folder), lambda: RASTERISER)
     own = (folder / "one.cags/thumbnail.jpg").read_bytes()
