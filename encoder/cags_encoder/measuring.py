@@ -35,10 +35,10 @@ from cags_encoder.codecs.svq import SvqCodec
 
 VIEWS = 3
 
-POSITIONS_SHARE = 0.4
+POSITIONS_SHARE = 0.2
 """Share of the squared error of looks with every layer that rounded positions may add."""
 
-UNSEEN_DB = 55.0
+UNSEEN_DB = 60.0
 """PSNR of an error of positions that is tolerable whatever the looks are."""
 
 FINEST = 1 / 4
