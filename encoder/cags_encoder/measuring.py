@@ -35,11 +35,16 @@ from cags_encoder.codecs.svq import SvqCodec
 
 VIEWS = 3
 
-POSITIONS_SHARE = 0.2
-"""Share of the squared error of looks with every layer that rounded positions may add."""
+PATCH_PX, WORST = 8, 0.999
+"""Side of the patches whose squared errors are compared, and the quantile that counts: splats that pass each other show
+in few places, but there as something that comes and goes.
+"""
 
-UNSEEN_DB = 60.0
-"""PSNR of an error of positions that is tolerable whatever the looks are."""
+POSITIONS_SHARE = 0.5
+"""Largest error of a patch by rounded positions, as a share of that by looks with every layer."""
+
+UNSEEN = 10 ** (-45.0 / 10)
+"""Squared error of a patch that is tolerable whatever the looks are."""
 
 FINEST = 1 / 4
 """Smallest step of positions, in steps of the configuration. Each halving takes 3 bits a splat of the base."""
@@ -207,6 +212,16 @@ class _Views:
             pixels += int(mask.sum())
         return _Seen(total / pixels, likeness / pixels)
 
+    def worst_patch(self, shown_splats: Splats) -> float:
+        """Squared error of small squares of all views that one in a thousand exceeds."""
+        patches = []
+        for true, shown in zip(self._truth, self._draw(shown_splats), strict=True):
+            errors = np.square(_shown(true) - _shown(shown)).mean(axis=2)
+            rows, columns = (side // PATCH_PX for side in errors.shape)
+            whole = errors[: rows * PATCH_PX, : columns * PATCH_PX]
+            patches.append(whole.reshape(rows, PATCH_PX, columns, PATCH_PX).mean(axis=(1, 3)).ravel())
+        return float(np.quantile(np.concatenate(patches), WORST))
+
     def _draw(self, splats: Splats) -> list[RenderedView]:
         scene = self._rasteriser.load(splats)
         return [scene.render(camera, _OPTIONS) for camera in self._cameras]
@@ -226,13 +241,13 @@ class _Trial:
         return self._codec.position_step
 
     def refine(self, still: NDArray[np.bool_]) -> None:
-        """Halve the step of positions until the error of ``still`` splats [n] is small against that of looks, or cannot
-        be seen.
+        """Halve the step of positions until patches show it less than the quantised looks, or hardly; ``still`` [n]
+        splats count.
         """
         still = still[self._views.order]
-        looks = self._views.look(self._codec.decode(self._coded)).error
-        allowed, finest = max(POSITIONS_SHARE * looks, 10 ** (-UNSEEN_DB / 10)), FINEST * self.position_step
-        while self.position_step > finest and self._views.look(self._rounded(still)).error > allowed:
+        looks = self._views.worst_patch(self._codec.decode(self._coded))
+        allowed, finest = max(POSITIONS_SHARE * looks, UNSEEN), FINEST * self.position_step
+        while self.position_step > finest and self._views.worst_patch(self._rounded(still)) > allowed:
             self._codec = replace(self._codec, position_step=self.position_step / 2)
 
     def _rounded(self, still: NDArray[np.bool_]) -> Splats:
