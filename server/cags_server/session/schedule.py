@@ -24,6 +24,14 @@ RENDER_GRACE, SEEN_GRACE, UNSEEN_GRACE_LEADS = (2.0, 0.4), (1.0, 0.25), 0.5
 for either in a group without any render. In frame periods, limited by a share of the lead.
 """
 
+POOR, FAIR = 10**-2.8, 10**-3.2
+"""Squared error of the client's own picture above which it is poor, and below which it no longer is."""
+
+NEARER_FRAMES = 2
+"""Frames by which the lead is shorter for a poor picture: its references are then most of what the client shows, its
+depths are wrong, and a picture that was predicted further is aligned worse.
+"""
+
 LONGEST_LEAD_US = 600_000
 """Largest lead: a slow renderer or link makes the server plan earlier, up to this; beyond it frames are skipped."""
 
@@ -47,6 +55,7 @@ class Schedule:
         """Duration of reference renders."""
         self._lead_frames, self._reference_every = settings.lead_frames, settings.reference_every
         self._tiles_ahead = settings.tiles_ahead
+        self._poor = False  # the client's own picture
         self._clock = clock
         self._controlled = False
         self._from_tick = 0  # first tick neither planned nor skipped
@@ -68,10 +77,17 @@ class Schedule:
         self.generation += 1
         self._count_anew()
 
+    def client_lacks(self, squared_error: float) -> None:
+        """The client's own picture has this mean squared error, RGB in [0, 1]."""
+        self._poor = squared_error > (FAIR if self._poor else POOR)
+
     @property
     def lead_us(self) -> float:
-        """The larger of the requested lead and the time from planning to arrival; longer after late references."""
-        wanted_us = self._lead_frames * 1e6 / self.timeline.fps
+        """The larger of the requested lead and the time from planning to arrival; longer after late references, shorter
+        while the client's own picture is poor.
+        """
+        frames = max(self._lead_frames - NEARER_FRAMES, 1) if self._poor else self._lead_frames
+        wanted_us = frames * 1e6 / self.timeline.fps
         needed_us = max(wanted_us, self.pace.needed_us) + self.pace.caution_us
         return max(wanted_us, min(needed_us, LONGEST_LEAD_US))
 

@@ -475,6 +475,7 @@ class Streamer:
         self.stats.mirror_bytes = self._mirror.memory_bytes
         if plan.speaks:
             self.lacking = render.coded.before
+            self._schedule.client_lacks(self.lacking)
             cost = ReferenceCosts(1, render.render_ns + render.mirror_ns, render.encode_ns)
             if plan.light:
                 self.stats.light += cost

@@ -12,7 +12,7 @@ from cags_protocol.timeline import Timeline
 from cags_protocol.wire.messages import Control
 from cags_server.link import LinkState
 from cags_server.session.clock import ClientClock
-from cags_server.session.schedule import JUMP_US, LONGEST_LEAD_US, Schedule
+from cags_server.session.schedule import FAIR, JUMP_US, LONGEST_LEAD_US, POOR, Schedule
 from cags_server.settings import ServerSettings
 from support.links import KnownLink
 
@@ -49,6 +49,18 @@ def test_nothing_is_planned_before_the_viewer_says_when_to_play() -> None:
     assert not schedule.begun
     assert schedule.next_frame is None
     assert schedule.next_due_us(lambda: True) is None
+
+
+def test_the_lead_is_shorter_while_the_own_picture_is_poor_and_does_not_waver() -> None:
+    schedule = playing()
+    leads = []
+    for error in (0.9 * POOR, 1.1 * POOR, 1.1 * FAIR, 0.9 * FAIR, 1.1 * FAIR):
+        schedule.client_lacks(error)
+        leads.append(round(schedule.lead_us / PERIOD_US))
+    assert leads == [6, 4, 4, 6, 6]
+    short = playing(settings=ServerSettings(lead_frames=2))
+    short.client_lacks(1.0)
+    assert short.lead_us == PERIOD_US, "one frame at least"
 
 
 def test_a_frame_is_due_a_lead_before_its_display() -> None:

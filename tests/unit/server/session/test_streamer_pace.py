@@ -7,7 +7,7 @@ import pytest
 from cags_protocol import events as ev
 from cags_protocol.wire.messages import FrameEnd, ReferenceFrame, ReferenceKind, TileLayers
 from cags_server.link.pace import MARGIN_US
-from cags_server.session.schedule import LONGEST_LEAD_US
+from cags_server.session.schedule import LONGEST_LEAD_US, POOR
 from support.server_scene import SETTINGS
 from support.streamer_rig import OFFSET_US, PERIOD_US, Rig, of
 
@@ -20,9 +20,13 @@ def next_references(rig: Rig) -> list[ReferenceFrame]:
 def test_frames_are_planned_a_lead_before_their_display_in_the_servers_clock() -> None:
     rig = Rig()
     rig.play()
+    rig.streamer._schedule.client_lacks(0.0)
     lead_us = SETTINGS.lead_frames * PERIOD_US
     assert rig.streamer.next_due_us() == pytest.approx(OFFSET_US + 300_000 - lead_us, abs=1)
     rig.step()
+    assert rig.streamer.lacking > POOR, "the client has nothing yet: references are predicted less far"
+    assert rig.streamer.next_due_us() > OFFSET_US + 300_000 + PERIOD_US - lead_us
+    rig.streamer._schedule.client_lacks(0.0)
     assert rig.streamer.next_due_us() == pytest.approx(OFFSET_US + 300_000 + PERIOD_US - lead_us, abs=1)
 
 
@@ -55,6 +59,7 @@ def test_a_slow_renderer_is_asked_earlier_but_not_ever_earlier(took_us: int, lea
     rig = Rig()
     rig.play()
     rig.streamer._schedule.pace.observe(took_us, 0, 0)
+    rig.streamer._schedule.client_lacks(0.0)
     assert rig.streamer._schedule.lead_us == pytest.approx(lead_us, rel=1e-6)
 
 
