@@ -22,6 +22,7 @@ PUBLISHED = Configuration(
         "abr": "paper",
         "fov": "lstm-mean-error",
         "lead_frames": 6,
+        "poor_lead_frames": 6,
         "references": "picture",
         "reference_footprint": "plain",
     },

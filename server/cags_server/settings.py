@@ -37,6 +37,9 @@ class ServerSettings:
         research=True,
     )
     lead_frames: int = setting(6, "frames between planning a frame and its display", low=1, high=60)
+    poor_lead_frames: int = setting(
+        4, "the same while the client's own picture is poor (below 28 dB), if that is fewer", low=1, high=60
+    )
     references: str = setting(
         "auto",
         "content of references: difference to the client's splats, picture of the scene, auto (the better of the two) "

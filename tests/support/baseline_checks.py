@@ -149,6 +149,7 @@ def check_published(method: Method) -> None:
         "abr": (server, "paper"),
         "fov": (server, "lstm-mean-error"),
         "lead_frames": (server, 6),
+        "poor_lead_frames": (server, 6),
         "references": (server, "picture"),
         "reference_footprint": (server, "plain"),
         "restore": (client, "srresnet"),

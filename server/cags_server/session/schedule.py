@@ -25,11 +25,9 @@ for either in a group without any render. In frame periods, limited by a share o
 """
 
 POOR, FAIR = 10**-2.8, 10**-3.2
-"""Squared error of the client's own picture above which it is poor, and below which it no longer is."""
-
-NEARER_FRAMES = 2
-"""Frames by which the lead is shorter for a poor picture: its references are then most of what the client shows, its
-depths are wrong, and a picture that was predicted further is aligned worse.
+"""Squared error of the client's own picture above which it is poor, and below which it no longer is. The lead is then
+shorter: references are most of what the client shows, its depths are wrong, and a picture that was predicted further is
+aligned worse.
 """
 
 LONGEST_LEAD_US = 600_000
@@ -54,6 +52,7 @@ class Schedule:
         self.pace = Pace(link)
         """Duration of reference renders."""
         self._lead_frames, self._reference_every = settings.lead_frames, settings.reference_every
+        self._poor_lead_frames = min(settings.poor_lead_frames, settings.lead_frames)
         self._tiles_ahead = settings.tiles_ahead
         self._poor = False  # the client's own picture
         self._clock = clock
@@ -86,7 +85,7 @@ class Schedule:
         """The larger of the requested lead and the time from planning to arrival; longer after late references, shorter
         while the client's own picture is poor.
         """
-        frames = max(self._lead_frames - NEARER_FRAMES, 1) if self._poor else self._lead_frames
+        frames = self._poor_lead_frames if self._poor else self._lead_frames
         wanted_us = frames * 1e6 / self.timeline.fps
         needed_us = max(wanted_us, self.pace.needed_us) + self.pace.caution_us
         return max(wanted_us, min(needed_us, LONGEST_LEAD_US))

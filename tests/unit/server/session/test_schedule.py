@@ -60,7 +60,7 @@ def test_the_lead_is_shorter_while_the_own_picture_is_poor_and_does_not_waver() 
     assert leads == [6, 4, 4, 6, 6]
     short = playing(settings=ServerSettings(lead_frames=2))
     short.client_lacks(1.0)
-    assert short.lead_us == PERIOD_US, "one frame at least"
+    assert short.lead_us == 2 * PERIOD_US, "never longer"
 
 
 def test_a_frame_is_due_a_lead_before_its_display() -> None:
