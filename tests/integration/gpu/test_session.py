@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from cags_bench.bundles import cached_bundle
 from cags_bench.sim.session import Scenario, SessionResult, simulate
@@ -29,6 +30,7 @@ from cags_gpu.difference import DeviceViews
 from cags_gpu.pictures import DevicePictures
 from cags_gpu.raster import GpuScene
 from cags_server.reference import coder
+from cags_server.reference.detail import BLOCK_PX
 from cags_server.settings import ServerSettings
 from support.gpu import needs_adapter, software_passes
 
@@ -92,6 +94,18 @@ def least_within_a_level(ours: list[F32], right: list[F32]) -> float:
     return min(float((np.abs(a - b) <= 1 / 255).all(axis=2).mean()) for a, b in zip(ours, right, strict=True))
 
 
+def left_out(drawn: F32) -> NDArray[np.bool_]:
+    """Blocks [rows, columns] of a difference that are not worth their bits: nothing is drawn there."""
+    rows, columns = (side // BLOCK_PX for side in drawn.shape[:2])
+    blocks = drawn.reshape(rows, BLOCK_PX, columns, BLOCK_PX, 3)
+    return np.asarray((np.ptp(blocks, axis=(1, 3)) == 0).all(axis=2))
+
+
+def by_pixel(blocks: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """``blocks`` [rows, columns] at each of their pixels [h, w, 1]."""
+    return np.kron(blocks, np.ones((BLOCK_PX, BLOCK_PX), np.bool_))[..., None]
+
+
 def summary(session: Played) -> dict[str, Any]:
     assert session.result is not None
     return session.result.summary
@@ -112,7 +126,10 @@ def test_a_server_codes_what_the_cpu_draws_to_a_code(bundle: Path, references: s
     ours = played(bundle, references, server="gpu", client="cpu")
     assert not right.together
     assert bool(ours.together) == (references == "difference"), "where a mirror is kept, it is drawn with the truth"
-    for drawn, same in zip(ours.drawn, right.drawn, strict=True):
+    for pair in zip(ours.drawn, right.drawn, strict=True):
+        open_to_both = left_out(pair[0]) ^ left_out(pair[1])
+        assert open_to_both.sum() <= 1, "a block just as loud as is worth its bits"
+        drawn, same = (np.where(by_pixel(open_to_both), np.float32(0.5), each) for each in pair)
         assert np.abs(drawn - same).max() <= BOUNDS[Exactness.BALANCED].largest
         codes, others = (planes_of_ycbcr(ycbcr_of_rgb(each), Chroma.FULL).astype(int) for each in (drawn, same))
         assert np.abs(codes - others).max() <= 1
