@@ -31,13 +31,13 @@ from cags_common.tiles.lod import LodLayer, depths_at
 from cags_common.tiles.morton import morton_order, tile_ranges
 from cags_common.tiles.payloads import KEY_TILE_SPLATS, encode_layer
 from cags_encoder.codecs.registry import ClipCodec
-from cags_encoder.codecs.svq import SvqCodec
+from cags_encoder.codecs.svq import SvqCodec, radii_of
 
 VIEWS = 3
 
 PATCH_PX, WORST = 8, 0.999
-"""Side of the patches whose squared errors are compared, and the quantile that counts: splats that pass each other show
-in few places, but there as something that comes and goes.
+"""Side of the patches whose squared errors are compared, in pixels, and the quantile that counts: where splats change
+their order, a patch appears and vanishes while the mean error of the picture stays small.
 """
 
 POSITIONS_SHARE = 0.5
@@ -122,8 +122,7 @@ def standing(splats: Splats, later: Splats, codec: SvqCodec) -> NDArray[np.bool_
     if not len(later):
         return np.zeros(len(splats), np.bool_)
     away, _ = cKDTree(later.means).query(splats.means)
-    radii = np.exp(np.clip(np.median(splats.log_scales, axis=1), -30, 30))
-    still: NDArray[np.bool_] = away < codec.position_step / 4 * radii
+    still: NDArray[np.bool_] = away < codec.position_step / 4 * radii_of(splats)
     return still
 
 
@@ -241,8 +240,8 @@ class _Trial:
         return self._codec.position_step
 
     def refine(self, still: NDArray[np.bool_]) -> None:
-        """Halve the step of positions until patches show it less than the quantised looks, or hardly; ``still`` [n]
-        splats count.
+        """Halve the step of positions until the worst patches show it at most half as much as the quantised looks, or
+        the error cannot be seen. Only ``still`` [n] splats count.
         """
         still = still[self._views.order]
         looks = self._views.worst_patch(self._codec.decode(self._coded))

@@ -33,8 +33,8 @@ class EncodeSettings:
     )
     position_step: float | None = setting(
         None,
-        "step of positions, in radii of a tile's smaller splats (lower quartile); default: by measurement, from 1/8 "
-        "(the quantiser's) to 1/32",
+        "step of positions, in radii of a tile's smaller splats (lower quartile); default: the quantiser's "
+        "(1/8), halved once or twice where renders of the first frame need it",
         low=1e-4,
         high=10,
     )
@@ -83,7 +83,7 @@ class EncodeSettings:
 
     @property
     def measures_positions(self) -> bool:
-        """Whether measurement chooses the step of positions: neither these settings nor the paper say it."""
+        """Whether the step of positions is chosen by measurement: neither these settings nor the paper give it."""
         return self.position_step is None and self.position_bits is None and not self.quantiser.startswith("paper")
 
 

@@ -31,6 +31,11 @@ COARSE_STEP = 1.0
 MIN_POSITION_BITS = 4
 
 
+def radii_of(splats: Splats) -> F32:
+    """Standard deviations [n] along the middle axis, metres."""
+    return np.asarray(np.exp(np.clip(np.median(splats.log_scales, axis=1), -30, 30)))
+
+
 @dataclass(frozen=True, eq=False)
 class SvqSplats:
     """Quantised splats."""
@@ -86,8 +91,7 @@ class SvqCodec:
 
     def quantise(self, prepared: Splats) -> SvqSplats:
         """Codes of full length."""
-        radii = np.exp(np.clip(np.median(prepared.log_scales, axis=1), -30, 30))
-        return SvqSplats(prepared.means, radii, self.quantiser.encode(prepared))
+        return SvqSplats(prepared.means, radii_of(prepared), self.quantiser.encode(prepared))
 
     def decode(self, coded: SvqSplats) -> Splats:
         """Look up all layers."""

@@ -18,9 +18,7 @@ QUIET_S = 1.0
 LEAST_INTERVAL_S = 5.0
 
 UNWATCHED_S = 10.0
-"""Time without viewers after which what was kept for further ones is dropped, too: a page that is loaded again needs
-it.
-"""
+"""Time without viewers after which what was kept for later ones is dropped; a page is loaded again in less."""
 
 M_ARENA_MAX, ARENAS = -8, 2
 """Of ``mallopt``: threads share so many arenas."""
@@ -31,7 +29,7 @@ class FreedMemory:
 
     def __init__(self, watched: Callable[[], object], forget: Callable[[], object] = lambda: None) -> None:
         """``watched()`` says whether a long collection would delay anybody. ``forget()`` drops what was kept for
-        further viewers.
+        later viewers.
         """
         self._watched, self._forget = watched, forget
         self._timer: asyncio.TimerHandle | None = None

@@ -130,7 +130,7 @@ class Collection:
             return sum(library.decoded.nbytes for library in self._watched.values())
 
     def forget_decoded(self) -> None:
-        """Drop the decoded tiles of all scenes that are open, which nobody watches."""
+        """Drop the decoded tiles of all open scenes; meant for a server that nobody watches."""
         with self._lock:
             libraries = list(self._watched.values())
         for library in libraries:

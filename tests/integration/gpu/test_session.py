@@ -127,9 +127,9 @@ def test_a_server_codes_what_the_cpu_draws_to_a_code(bundle: Path, references: s
     assert not right.together
     assert bool(ours.together) == (references == "difference"), "where a mirror is kept, it is drawn with the truth"
     for pair in zip(ours.drawn, right.drawn, strict=True):
-        open_to_both = left_out(pair[0]) ^ left_out(pair[1])
-        assert open_to_both.sum() <= 1, "a block just as loud as is worth its bits"
-        drawn, same = (np.where(by_pixel(open_to_both), np.float32(0.5), each) for each in pair)
+        undecided = left_out(pair[0]) ^ left_out(pair[1])
+        assert undecided.sum() <= 1, "a block just as loud as is worth its bits"
+        drawn, same = (np.where(by_pixel(undecided), np.float32(0.5), each) for each in pair)
         assert np.abs(drawn - same).max() <= BOUNDS[Exactness.BALANCED].largest
         codes, others = (planes_of_ycbcr(ycbcr_of_rgb(each), Chroma.FULL).astype(int) for each in (drawn, same))
         assert np.abs(codes - others).max() <= 1
