@@ -148,8 +148,8 @@ export interface FrameRequest {
   readonly spent?: readonly ArrayBuffer[];
 }
 
-/** See `cags_client.frame.changes`: since the reference of media frame `frame`, which assumes mark `basis` (undefined: changes
- * do not matter, only motion), as a reference of `focalPx` at the view `camera` would see it. */
+/** See `cags_client.frame.changes`: since the reference of media frame `frame`, which assumes mark `basis` (undefined: a
+ * picture, for which only motion matters), as a reference of `focalPx` at the view `camera` would see it. */
 export interface ChangedSince {
   readonly frame: number;
   readonly basis?: number;

@@ -3,6 +3,10 @@
 The client shows exactly what a reference assumes when it shows the reference's own frame. At later frames, while no
 other has come, splats may have been refined, or have moved; and a client that had nothing to wait for may have shown
 more than a reference assumes that comes after all.
+
+Motion that the reference assumes takes most of its correction along: what the client lacked of a splat a frame ago, it
+lacks near there now. This does not hold for motion that has arrived since, nor for a picture, from which the client's
+render of where the splats are now is subtracted.
 """
 
 from __future__ import annotations
@@ -38,18 +42,19 @@ class Changes:
     def __init__(self) -> None:
         self._commits: deque[tuple[int, NDArray[np.intp]]] = deque(maxlen=REMEMBERED)
         self._places: deque[tuple[int, F32]] = deque(maxlen=REMEMBERED_FRAMES)
-        self._mark = 0
+        self._mark = self._newest = 0  # that what is displayed was shown up to; the newest one ever
 
     def clear(self) -> None:
         """Another group of frames is on display."""
+        self._mark = 0
         self._commits.clear()
         self._places.clear()
 
     def committed(self, mark: int, rows: NDArray[np.intp]) -> None:
         """``rows`` changed by showing what came up to ``mark``, or further, where that was shown before."""
-        self._mark = max(self._mark, mark)
+        self._mark, self._newest = mark, max(self._newest, mark)
         if len(rows):
-            self._commits.append((self._mark, rows))
+            self._commits.append((self._newest, rows))
 
     def used(self, basis: int) -> None:
         """A reference made from mark ``basis`` is shown with its own frame."""
@@ -64,16 +69,18 @@ class Changes:
         self._places.append((frame, means.copy()))
 
     def since(self, basis: int) -> bool:
-        """Whether splats were changed by what came after mark ``basis``."""
-        return any(mark > basis for mark, _ in self._commits)
+        """Whether anything that came after mark ``basis`` is shown."""
+        return self._mark > basis or any(mark > basis for mark, _ in self._commits)
 
     def spheres(self, since: tuple[int, int | None], splats: Splats, camera: Camera, focal_px: float) -> Spheres:
-        """Around what has moved ``since`` a media frame, as a reference of ``focal_px`` sees it from about ``camera``,
-        or was changed since a mark (None: that does not matter).
+        """Around what was changed ``since`` a mark that a difference assumes; of a picture (None), and where more than
+        that is shown, around what has moved since its media frame, as seen at ``focal_px`` from about ``camera``.
         """
         frame, basis = since
         rows = [] if basis is None else [changed for mark, changed in self._commits if mark > basis]
-        changed = np.unique(np.concatenate([*rows, self._moved(frame, splats, camera, focal_px)]))
+        if basis is None or self._mark > basis:
+            rows.append(self._moved(frame, splats, camera, focal_px))
+        changed = np.unique(np.concatenate(rows)) if rows else np.zeros(0, np.intp)
         changed = changed[:: -(-len(changed) // MOST_LOOKED_AT) or 1]
         radii = SEEN_SIGMAS * np.exp(splats.log_scales[changed]).max(axis=1, initial=0.0)
         return Spheres(splats.means[changed], radii)

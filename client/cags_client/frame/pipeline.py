@@ -292,15 +292,15 @@ class ClientPipeline:
             same_place=there == camera.pose.position,
             same_frame=reference is not None and reference.frame == int(time),
             corrects=name == CORRECT,
-            stale=reference is not None and (reference.frame < time or self._outdated(reference)),
+            stale=reference is not None and self._outdated(reference, time),
             restorer=self._restorer.needs if self._restorer is not None else frozenset(),
             replaces=self._restorer is not None and self._restorer.replaces,
             depth_shown=self.live.depth_shown,
         )
 
-    def _outdated(self, reference: Received) -> bool:
-        """Whether splats have changed in a way that ``reference`` does not assume."""
-        return reference.assumes and self._changes.since(reference.basis)
+    def _outdated(self, reference: Received, time: float) -> bool:
+        """Whether splats have changed until ``time`` in a way that ``reference`` does not assume."""
+        return self._changes.since(reference.basis) if reference.assumes else reference.frame < time
 
     def _made_restorer(self) -> Restorer | None:
         """The restorer of aligned pictures that the viewer chose; None for another choice."""

@@ -74,6 +74,7 @@ class Observation:
     layered: bool = True  # LoDs add up; else LoD L is the whole tile at quality L, and replaces what was sent
     timely_bytes: int = UNBOUNDED_BYTES  # of them, what may go to what must arrive before the frame is displayed
     alone_bytes: int = 0  # instead of all that: what one message may take that stays, if nothing goes beside it
+    frame_bytes: float = UNBOUNDED_BYTES  # what the link carries in the time of a media frame
 
 
 @dataclass(frozen=True, slots=True)

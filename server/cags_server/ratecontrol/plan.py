@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from cags_server.ratecontrol.base import Decision, Observation, TileView, Upgrade
 
+ALONE_FRAMES = 10
+"""Detail that is larger than the budget may take the link for so many frames. What begins later is not in the
+observation, and would wait for it.
+"""
+
 
 class Plan:
     """Raises tiles within the observation's budget and room, and turns the result into a decision."""
@@ -11,6 +16,7 @@ class Plan:
     def __init__(self, observation: Observation) -> None:
         self._budget, self._timely = observation.budget_bytes, observation.timely_bytes
         self._alone = observation.alone_bytes
+        self._detail_alone = min(self._alone, ALONE_FRAMES * observation.frame_bytes)
         self._spent = self._urgent = 0  # in all, and of it on what must arrive in time
         self._overhead = observation.message_overhead_bytes
         self._layered = observation.layered
@@ -63,7 +69,8 @@ class Plan:
 
     def _goes_alone(self, tile: TileView, cost: int) -> bool:
         """Whether ``tile`` may be sent though it is larger than the budget: it stays, and the link has nothing else."""
-        return not tile.passing and not self._spent and cost <= self._alone
+        most = self._detail_alone if self._start[tile.frame, tile.tile] else self._alone
+        return not tile.passing and not self._spent and cost <= most
 
     def decision(self) -> Decision:
         """The planned upgrades in the order in which their tiles were first raised."""

@@ -609,6 +609,7 @@ class Streamer:
             waiting_us=self._budget.waiting_us(now_us),
             timely_bytes=timely_bytes,
             alone_bytes=self._budget.alone(earned_bytes, period_us, now_us),
+            frame_bytes=record.estimate_bps * self._schedule.timeline.period_us / 8e6,
         )
         decision = self._policy.decide(observation)
         coming_bytes = self._budget.outstanding_bytes + lacking_bytes(observation)

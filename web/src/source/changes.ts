@@ -18,18 +18,21 @@ export interface Changed {
 export class Changes {
   private commits: { readonly mark: number; readonly rows: Int32Array }[] = [];
   private places: { readonly frame: number; readonly means: Float32Array }[] = [];
-  private mark = 0;
+  private mark = 0; // up to which what is displayed was shown
+  private newest = 0;
 
   /** Another group of frames is on display. */
   clear(): void {
+    this.mark = 0;
     this.commits = [];
     this.places = [];
   }
 
   /** `rows` changed by showing what came up to `mark`, or further, where that was shown before. */
   committed(mark: number, rows: Int32Array): void {
-    this.mark = Math.max(this.mark, mark);
-    if (rows.length) this.commits.push({ mark: this.mark, rows });
+    this.mark = mark;
+    this.newest = Math.max(this.newest, mark);
+    if (rows.length) this.commits.push({ mark: this.newest, rows });
     if (this.commits.length > REMEMBERED) this.commits.shift();
   }
 
@@ -46,14 +49,15 @@ export class Changes {
     if (this.places.length > REMEMBERED_FRAMES) this.places.shift();
   }
 
-  /** Positions and radii of what was changed or has moved; of many every so many-th. */
+  /** Positions and radii of what was changed; of what has moved, for a picture and where more is shown than a difference
+   * assumes. Of many every so many-th. */
   since(since: ChangedSince, means: Float32Array, logScales: Float32Array): Changed {
     const { basis } = since;
     const flags = new Uint8Array(means.length / 3);
     if (basis !== undefined) {
       for (const { mark, rows } of this.commits) if (mark > basis) for (const row of rows) flags[row] = 1;
     }
-    this.addMoved(flags, since, means);
+    if (basis === undefined || this.mark > basis) this.addMoved(flags, since, means);
     let count = 0;
     for (const flag of flags) count += flag;
     const step = Math.ceil(count / MOST_LOOKED_AT) || 1;

@@ -54,12 +54,23 @@ def test_the_veto_lies_where_a_changed_splat_is_seen() -> None:
     assert not hidden.any(), "behind what the view shows"
 
 
-def test_what_has_moved_by_more_than_a_little_counts_as_changed() -> None:
+def test_motion_that_a_difference_assumes_takes_its_correction_along() -> None:
+    changes = Changes()
+    changes.shown(10, line().means)
+    changes.committed(1, rows())
+    assert not changes.since(1)
+    assert not veto(changes, (10, 1), line(1.0)).any()
+
+
+def test_what_has_moved_by_more_than_a_little_counts_as_changed_where_more_is_shown() -> None:
     changes, little = Changes(), 0.5 * MOVED_PX * 4.0 / FOCAL_PX
     changes.shown(10, line().means)
-    changes.used(1)
+    changes.committed(2, rows())  # motion, which changes no row
+    assert changes.since(1)
     assert not veto(changes, (10, 1), line(little)).any()
     assert veto(changes, (10, 1), line(4 * little)).any()
+    changes.committed(1, rows())  # a reference's own frame goes back to what that assumes
+    assert not veto(changes, (10, 1), line(4 * little)).any()
 
 
 def test_of_a_picture_only_what_has_moved_counts() -> None:
@@ -85,4 +96,4 @@ def test_another_group_of_frames_begins_anew() -> None:
     changes.committed(2, rows(1))
     changes.clear()
     assert not changes.since(0)
-    assert not veto(changes, (10, 0), line(1.0)).any()
+    assert not veto(changes, (10, None), line(1.0)).any()

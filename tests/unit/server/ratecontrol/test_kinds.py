@@ -98,6 +98,15 @@ def test_a_chunk_larger_than_any_budget_goes_alone(policy: str) -> None:
         assert (FRAME + 4, 1) not in levels(create_rate_policy(policy).decide(less))
 
 
+@pytest.mark.parametrize("policy", ["utility", "paper"])
+def test_detail_goes_alone_only_where_it_does_not_take_the_link_for_long(policy: str) -> None:
+    """Once 38 kB of a third level took a link of 0.44 Mbps for 20 frames, and the next chunk came after its time."""
+    large = replace(CHUNK, depth=1, lod_bytes=(900, 950), weight=5_000.0)
+    seen = Observation(FRAME, 500, (large,), (2.0, 2.0, 2.0), 10, alone_bytes=2_000, frame_bytes=96.0)
+    assert levels(create_rate_policy(policy).decide(seen)) == {(CHUNK.frame, 1): (1, 2)}
+    assert levels(create_rate_policy(policy).decide(replace(seen, frame_bytes=95.0))) == {}
+
+
 def test_nothing_larger_than_the_budget_goes_beside_something_else() -> None:
     large = replace(CHUNK, frame=FRAME + 4, lod_bytes=(900, 950), weight=1.0)
     seen = Observation(FRAME, 500, (large, CHUNK), (2.0, 2.0, 2.0), 10, alone_bytes=2_000)
