@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from support.page_age import ROOT, History, Page, check_page, check_told, listed, pages
+from support.page_age import HEADING, ROOT, History, Page, check_page, check_told, listed, pages
 
-OLD = listed((ROOT / "CHANGELOG.md").read_text(encoding="utf-8"))
+CHANGELOG = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+OLD = listed(CHANGELOG)
 
 
 @pytest.fixture(scope="module")
@@ -23,8 +24,13 @@ def test_figures_are_as_old_as_the_changelog_says(page: Page, history: History) 
 
 
 def test_what_is_listed_is_there() -> None:
-    assert OLD
+    assert HEADING in CHANGELOG
     assert set(OLD) <= {page.file for page in pages()}
+
+
+def test_a_list_is_read() -> None:
+    text = f"# Changelog\n\n{HEADING}\n\n- `docs/a.jsonl` (0b89488): no run since\n\n## 0.1.0\n\n- `b` (ecb2866)\n"
+    assert listed(text) == {"docs/a.jsonl": "0b89488"}
 
 
 def test_the_page_says_which_of_its_figures_are_older() -> None:
