@@ -39,7 +39,7 @@ def frame_stats(presented: PresentedFrame, action: Present, shown_us: int) -> di
         "aligned_share": 0.0 if presented.confidence is None else _share(presented.confidence),
         "reference_kind": "" if presented.reference is None else presented.reference.kind.value,
     }
-    if reference is not None:
+    if reference is not None and reference.frame == presented.frame:  # others tell of age, not of prediction
         there, here = reference.camera.pose, presented.camera.pose
         record["prediction_error_deg"] = math.degrees(angle_between(there.rotation, here.rotation))
         record["prediction_error_m"] = math.dist(there.position, here.position)

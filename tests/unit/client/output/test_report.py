@@ -1,0 +1,45 @@
+"""The record of a frame."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from cags_client.output.report import frame_stats
+from cags_client.playback.jobs import Present, Traffic
+from cags_common.bundle import BundleReader
+from cags_common.geometry import Pose
+from cags_encoder import EncodeSettings, encode
+from cags_encoder.scenes import open_scene
+from support.client_stage import Stage, walk
+
+
+@pytest.fixture(scope="module")
+def reader(tmp_path_factory: pytest.TempPathFactory) -> BundleReader:
+    folder: Path = tmp_path_factory.mktemp("bundle") / "room"
+    encode(open_scene("procedural:size=1000,frames=2"), EncodeSettings(frames=2, quantiser="paper-66"), str(folder))
+    return BundleReader.open(str(folder))
+
+
+def test_a_reference_of_an_earlier_frame_tells_nothing_of_the_prediction(reader: BundleReader) -> None:
+    """Once the viewer's own motion since then counted as the prediction's error."""
+    stage, there = Stage(reader), walk(reader)
+    x, y, z = there.position
+    here = Pose((x + 0.1, y, z), there.rotation)
+    stage.send(0)
+    stage.refer(0, there)
+
+    def record(frame: int) -> dict[str, object]:
+        shown = stage.show(frame, here)
+        assert shown.reference is not None
+        return frame_stats(shown, Present(frame, 0, here, stage.pipe, Traffic()), 0)
+
+    own = record(0)
+    assert math.isclose(float(str(own["prediction_error_m"])), 0.1, rel_tol=1e-6)
+    stage.end(1)
+    later = record(1)
+    assert later["reference_frame"] == 0
+    assert "prediction_error_m" not in later
+    assert "prediction_error_deg" not in later
