@@ -16,7 +16,8 @@ erosion             as occlusion, and the restorer uses the aligned colours, whi
                     occluded
 reference-render    as correction, and the reference is a picture: what the client lacks is the picture minus the
                     client's render from the reference camera
-veto                as correction, and splats have changed since the reference was made; of a picture, may have moved
+veto                as correction, and splats have changed since the reference was made, or, for a picture,
+                    may have moved
 fade                the reference belongs to another frame than the displayed one
 depth               something is corrected or aligned, or the viewer shows the depth picture
 ==================  ====================================================================================================

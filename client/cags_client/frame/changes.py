@@ -4,9 +4,9 @@ The client shows exactly what a reference assumes when it shows the reference's 
 other has come, splats may have been refined, or have moved; and a client that had nothing to wait for may have shown
 more than a reference assumes that comes after all.
 
-Motion that the reference assumes takes most of its correction along: what the client lacked of a splat a frame ago, it
-lacks near there now. This does not hold for motion that has arrived since, nor for a picture, from which the client's
-render of where the splats are now is subtracted.
+Where splats move as the reference assumes, its correction stays mostly right: what the client lacked of a splat a frame
+ago, it lacks near there now. This does not hold for motion that has arrived since, nor for a picture, from which the
+client's render of where the splats are now is subtracted.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Changes:
     def __init__(self) -> None:
         self._commits: deque[tuple[int, NDArray[np.intp]]] = deque(maxlen=REMEMBERED)
         self._places: deque[tuple[int, F32]] = deque(maxlen=REMEMBERED_FRAMES)
-        self._mark = self._newest = 0  # that what is displayed was shown up to; the newest one ever
+        self._mark = self._newest = 0  # of what is displayed; the newest that ever was
 
     def clear(self) -> None:
         """Another group of frames is on display."""

@@ -18,8 +18,8 @@ export interface Changed {
 export class Changes {
   private commits: { readonly mark: number; readonly rows: Int32Array }[] = [];
   private places: { readonly frame: number; readonly means: Float32Array }[] = [];
-  private mark = 0; // up to which what is displayed was shown
-  private newest = 0;
+  private mark = 0; // of what is displayed
+  private newest = 0; // that ever was
 
   /** Another group of frames is on display. */
   clear(): void {
