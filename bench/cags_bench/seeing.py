@@ -47,9 +47,9 @@ class Seen:
         """``picture`` aligned to this view; its ``colours`` are computed at once or on demand."""
         return (aligner or align.create("fast")).align(picture, self.depth, self.camera, colours=colours)
 
-    def restored(self, picture: ReferencePicture, restorer: Restorer, level: float) -> F32:
-        """The picture [H, W, 3] in [0, 1] of a client that restores with an aligned picture; ``level`` in [0, 1]."""
-        return restorer.restore(RestoreInput(self.distorted, self.aligned(picture), level))
+    def restored(self, picture: ReferencePicture, restorer: Restorer, expected_db: float) -> F32:
+        """The picture [H, W, 3] in [0, 1] of a client that restores with an aligned picture."""
+        return restorer.restore(RestoreInput(self.distorted, self.aligned(picture), expected_db))
 
 
 def see(scene: RasterScene, camera: Camera, options: RenderOptions | None = None) -> Seen:

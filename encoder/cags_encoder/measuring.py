@@ -64,8 +64,9 @@ class LodMeasurement:
 
     def applied(self, codec: SvqCodec) -> SvqCodec:
         """``codec`` with this order and step."""
-        step = self.position_step
-        return replace(codec, lod_order=self.order, lod_gains_db=self.gains_db, position_step=step)
+        base = self.quality.ladder[0].psnr_db
+        measured = replace(codec, lod_order=self.order, lod_gains_db=self.gains_db, base_psnr_db=base)
+        return replace(measured, position_step=self.position_step)
 
 
 def measure(
@@ -128,26 +129,26 @@ def standing(splats: Splats, later: Splats, codec: SvqCodec) -> NDArray[np.bool_
 
 @runtime_checkable
 class Levelled(ClipCodec, Protocol):
-    """A codec of fixed levels, whose gains can be measured."""
+    """A codec of fixed levels, whose quality can be measured."""
 
     def levels(self, coded: Any) -> Iterable[Splats]:
         """What a decoder shows of one tile at each LoD, from 0 on."""
         ...
 
-    def with_gains(self, gains_db: tuple[float, ...]) -> Self:
-        """The same codec; ``gains_db`` is what each LoD from 1 on brings."""
+    def with_measured(self, psnr_db: tuple[float, ...]) -> Self:
+        """The same codec, which knows the PSNR of each LoD from 0 on, or of none."""
         ...
 
 
-def measured_gains(
+def measured_levels(
     codec: Levelled, splats: Splats, cameras: Sequence[Camera], rasteriser: Rasteriser
 ) -> tuple[float, ...]:
-    """PSNR that each LoD of ``codec`` from 1 on brings to ``splats`` [n] seen by ``cameras``."""
+    """PSNR of each LoD of ``codec`` from 0 on for ``splats`` [n] seen by ``cameras``."""
     views = _Views(splats, cameras, rasteriser)
     coded = codec.quantise(codec.prepare(views.splats))
     tiles = [codec.levels(coded.take(slice(a, b))) for a, b in tile_ranges(len(splats), KEY_TILE_SPLATS)]
     errors = np.array([views.look(Splats.concatenate(list(level))).error for level in zip(*tiles, strict=True)])
-    return tuple(round(float(gain), 4) for gain in 10 * np.log10(errors[:-1] / errors[1:]))
+    return tuple(round(float(psnr_db), 4) for psnr_db in -10 * np.log10(errors))
 
 
 def cheapest_first(

@@ -28,7 +28,7 @@ from cags_encoder.codecs.svq import SvqCodec
 from cags_encoder.execution.executors import INLINE, Shared, Workers, ahead
 from cags_encoder.execution.journal import Journal
 from cags_encoder.frames.tasks import read
-from cags_encoder.measuring import VIEWS, Levelled, LodMeasurement, measure, measured_gains, standing
+from cags_encoder.measuring import VIEWS, Levelled, LodMeasurement, measure, measured_levels, standing
 from cags_encoder.motion.steps import motion_steps
 from cags_encoder.motion.tolerance import Looked, Tolerance, Tolerances, tolerances
 from cags_encoder.pruning import prune, prune_within
@@ -205,21 +205,21 @@ class _Encoding:
                 self._quality = found.quality
                 return found.applied(codec)
         elif isinstance(codec, Levelled):
-            return codec.with_gains(self._gains(codec))
+            return codec.with_measured(self._measured_levels(codec))
         return codec
 
-    def _gains(self, codec: Levelled) -> tuple[float, ...]:
-        """What each LoD of a codec of fixed levels brings; nothing is known with a slow rasteriser."""
-        known = self._journal.note("gains") if self._journal else None
+    def _measured_levels(self, codec: Levelled) -> tuple[float, ...]:
+        """PSNR of each LoD of a codec of fixed levels; nothing is known with a slow rasteriser."""
+        known = self._journal.note("levels") if self._journal else None
         if known is not None:
-            return tuple(known["gains_db"])
+            return tuple(known["psnr_db"])
         rasteriser = create("auto")
         if rasteriser.name == "oracle":
             return ()
         cameras = cameras_around(self._source.focus, self._source.up, VIEWS)
-        found = measured_gains(codec, self._source.frame(0), cameras, rasteriser)
+        found = measured_levels(codec, self._source.frame(0), cameras, rasteriser)
         if self._journal:
-            self._journal.write_note("gains", {"gains_db": found})
+            self._journal.write_note("levels", {"psnr_db": found})
         return found
 
     def _weights(self, samples: Splats) -> F64 | None:
@@ -291,6 +291,7 @@ class _Encoding:
             bounds=(_vector(clip.placer.low), _vector(clip.placer.high)),
             lod_order=codec.lod_order,
             lod_gains_db=codec.lod_gains_db,
+            base_psnr_db=codec.base_psnr_db,
             codec=self._settings.codec,
             quantiser=self._settings.quantiser,
             up=_vector(np.asarray(source.up)),

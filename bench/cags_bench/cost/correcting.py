@@ -65,7 +65,7 @@ def _methods(moment: Moment) -> Stage:
             if picture is None:
                 return view.rgb
             aligned = aligner.align(picture, depth, moment.camera, colours=True)
-            return restorer.restore(RestoreInput(view.rgb, aligned, moment.level))
+            return restorer.restore(RestoreInput(view.rgb, aligned, moment.expected_db))
 
         points.append(Point(name, restored, judge, default=SHIPPED.restore == name))
     return Stage("correction", "method", "client", "corrected_psnr_db", tuple(points))

@@ -14,7 +14,7 @@ from cags_bench.cost.settings import CostSettings, Size
 from cags_bench.sim.session import Scenario, simulate
 from cags_bench.traces import link_share, scaled_trace
 from cags_client.frame.presented import PresentedFrame
-from cags_client.frame.restore import level_of
+from cags_client.frame.restore import expected_psnr_db
 from cags_client.output.truth import BundleTruth
 from cags_client.settings import ClientSettings
 from cags_common import metrics, raster
@@ -53,7 +53,7 @@ class Moment:
     """The unquantised splats."""
     held: RasterScene
     """The client's splats with everything up to LoD ``JUDGED_LOD``."""
-    level: float
+    expected_db: float
     """Level of the held splats, as restorers get it."""
     truth: F32  # [H, W, 3] in [0, 1]
     source: Splats
@@ -150,7 +150,7 @@ def capture(settings: CostSettings, number: int, scene: str, size: Size) -> Work
                 reference_camera=presented.reference.camera,
                 true=rasteriser.load(source),
                 held=rasteriser.load(decoder.frame(frame).splats),
-                level=level_of(held_lod, reader.manifest),
+                expected_db=expected_psnr_db(held_lod, reader.manifest),
                 truth=truth(frame, presented.camera)[0].clip(0, 1),
                 source=source,
             )

@@ -17,7 +17,7 @@ from cags_client.frame.align import Aligned, AlignSettings
 from cags_client.frame.changes import Changes
 from cags_client.frame.painting import Canvas, Painter, StagedPictures
 from cags_client.frame.presented import PresentedFrame
-from cags_client.frame.restore import CORRECT, NONE, RestoreInput, Restorer, level_of
+from cags_client.frame.restore import CORRECT, NONE, RestoreInput, Restorer, expected_psnr_db
 from cags_client.settings import ClientSettings, LiveSettings
 from cags_client.stats import Stopwatch
 from cags_client.store.references import Received, References
@@ -225,8 +225,8 @@ class ClientPipeline:
         aligned, used = None, reference if reference is not None and reference.coded is not None else None
         lod_mean = store.shown.lod_mean(camera)
         if used is not None and Pass.RESTORATION in plan:
-            freshness, level = self._freshness(used, frame), level_of(lod_mean, self.info)
-            aligned, pictures = self._restored(plan, canvas, used, watch, freshness=freshness, level=level)
+            freshness, expected_db = self._freshness(used, frame), expected_psnr_db(lod_mean, self.info)
+            aligned, pictures = self._restored(plan, canvas, used, watch, freshness=freshness, expected_db=expected_db)
         else:
             given = self._correction(plan, canvas, store, used, frame) if used and Pass.CORRECTION in plan else None
             pictures = self._painter.paint(canvas, given, watch)
@@ -320,7 +320,14 @@ class ClientPipeline:
         return Correction(reference.reference, canvas.display.intrinsics, changed=changed, stale=stale)
 
     def _restored(
-        self, plan: PassPlan, canvas: Canvas, reference: Received, watch: Stopwatch, *, freshness: float, level: float
+        self,
+        plan: PassPlan,
+        canvas: Canvas,
+        reference: Received,
+        watch: Stopwatch,
+        *,
+        freshness: float,
+        expected_db: float,
     ) -> tuple[Aligned | None, StagedPictures]:
         """The aligned picture and the restorer's result."""
         view, picture = self._painter.view(canvas, watch), reference.picture
@@ -333,7 +340,7 @@ class ClientPipeline:
             if Pass.FADE in plan:
                 aligned = _faded(aligned, freshness)
         with watch("restore"):
-            rgb = self._restorer.restore(RestoreInput(view.rgb, aligned, level))
+            rgb = self._restorer.restore(RestoreInput(view.rgb, aligned, expected_db))
         return aligned, self._painter.finished(canvas, StagedPictures.of(view, rgb, aligned.confidence), watch)
 
     def _updated(self, store: GofBuffer, committed: Committed) -> RasterScene:

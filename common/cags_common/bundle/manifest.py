@@ -85,6 +85,8 @@ class Manifest:
     lod_gains_db: tuple[float, ...]
     """PSNR gained by each level of ``lod_order``, measured on renders of this content; empty when it was not measured.
     """
+    base_psnr_db: float | None = None
+    """PSNR of level 0 in those renders; None when it was not measured."""
     codec: str = "svq"
     """Name of the tile codec (:data:`cags_common.bundle.codecs.TILE_CODECS`)."""
     quantiser: str = ""
@@ -130,8 +132,9 @@ class Manifest:
         for name in ("pruning", "motion", "tracks"):
             if table[name] is None:
                 del table[name]
-        if self.weights_crc is None:
-            del table["weights_crc"]
+        for name in ("weights_crc", "base_psnr_db"):
+            if table[name] is None:
+                del table[name]
         del table["view"]
         if self.view is not None:
             table["view"] = self.view.table()
@@ -170,6 +173,7 @@ def _checked(fields: Fields) -> Manifest:
         bounds=_bounds(fields),
         lod_order=fields.many("lod_order", _lod_layer, MAX_LODS - 1),
         lod_gains_db=fields.many("lod_gains_db", lambda f: f.number("", -1e3, 1e3), MAX_LODS - 1),
+        base_psnr_db=fields.number("base_psnr_db", -1e3, 1e3) if fields.has("base_psnr_db") else None,
         codec=fields.text("codec"),
         quantiser=fields.text("quantiser"),
         up=fields.vector("up"),

@@ -35,6 +35,11 @@ class ClipCodec(Protocol):
         """PSNR gained by each LoD of :attr:`lod_order` on renders of the clip; empty if not measured."""
         ...
 
+    @property
+    def base_psnr_db(self) -> float | None:
+        """PSNR of LoD 0 in those renders; None if not measured."""
+        ...
+
     def codebooks(self) -> bytes:
         """Data that a decoder needs once."""
         ...

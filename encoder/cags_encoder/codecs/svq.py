@@ -61,6 +61,7 @@ class SvqCodec:
     lod_gains_db: tuple[float, ...]
     position_bits: int | None
     position_step: float
+    base_psnr_db: float | None = None
 
     @staticmethod
     def train(

@@ -117,6 +117,8 @@ def test_a_measured_order_is_complete_and_its_gains_add_up() -> None:
     assert sum(better.lod_gains_db) > 15
     assert done == list(range(1, len(done) + 1))
     ladder, alone = found.quality.ladder, found.quality.layers
+    levels_db = np.cumsum([better.base_psnr_db, *better.lod_gains_db])
+    np.testing.assert_allclose(levels_db, [row.psnr_db for row in ladder], atol=0.01)
     assert [row.lod for row in ladder] == list(range(len(better.lod_order) + 1))
     assert {(row.attribute, row.layer) for row in alone} == {(a, k) for a in layers for k in range(layers[a] + 1)}
     assert ladder[-1].psnr_db == max(row.psnr_db for row in alone), "all layers of all attributes"

@@ -17,7 +17,7 @@ from cags_bench.reproduce.section import Cell, Section
 from cags_bench.seeing import see
 from cags_client.frame import align, restore
 from cags_client.frame.align import ReferencePicture
-from cags_client.frame.restore import RestoreInput
+from cags_client.frame.restore import RestoreInput, expected_psnr_db
 from cags_common import correction
 from cags_common.bundle import BundleReader
 from cags_common.correction import compand
@@ -109,7 +109,8 @@ def _client_works(view: View, reader: BundleReader) -> dict[str, Callable[[], An
     seen = see(view.held, view.camera)
     picture = ReferencePicture(view.picture.coded, view.picture.camera, 0)
     aligner, network, corrector = align.create("fast"), restore.create("srresnet"), correction.create("auto")
-    inputs = RestoreInput(seen.distorted, seen.aligned(picture, aligner, colours=True), AlignBenchSettings().lod)
+    expected_db = expected_psnr_db(AlignBenchSettings().lod * (reader.manifest.lods - 1), reader.manifest)
+    inputs = RestoreInput(seen.distorted, seen.aligned(picture, aligner, colours=True), expected_db)
     return {
         "decode base layers (Draco)": lambda: [decode_base(base, books) for base in bases],
         "decode layers (SVQ)": _layer_decoder(reader, books, tiles, bases),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from statistics import mean
@@ -216,14 +217,13 @@ def _motivation(runner: Runner, case: StillCase, stills: Stills) -> list[JsonObj
     out = []
     for number, config in enumerate(CONFIGS, start=1):
         flat = quantised(stills.source, config)
-        level = (number - 1) / (len(CONFIGS) - 1)
         out.append(
             {
                 "config": number,
                 "bytes_a_splat": flat.bytes / len(stills.source),
                 "codebook_bytes": flat.codebook_bytes,
                 "lossless": list(flat.lossless),
-                "psnr_db": _ways(stills, flat.splats, examples, networks, level),
+                "psnr_db": _ways(stills, flat.splats, examples, networks),
             }
         )
     return out
@@ -254,16 +254,20 @@ def _example(stills: Stills, camera: Camera, truth: F32) -> Example:
 
 
 def _ways(
-    stills: Stills, splats: Splats, examples: Sequence[Example], networks: Mapping[str, restore.Restorer], level: float
+    stills: Stills, splats: Splats, examples: Sequence[Example], networks: Mapping[str, restore.Restorer]
 ) -> dict[str, list[float]]:
-    """PSNR of each view, by way."""
+    """PSNR of each view, by way. Networks expect the mean over all views, which an encoder would have measured."""
     scene, corrector = raster.create(stills.device).load(splats), correction.create("auto")
     found: dict[str, list[float]] = {way: [] for way in WAYS}
-    for one in examples:
-        seen = see(scene, one.camera)
+    views = [see(scene, one.camera) for one in examples]
+    off = [np.square(seen.distorted - one.truth).mean() for seen, one in zip(views, examples, strict=True)]
+    expected_db = -10 * math.log10(max(float(np.mean(off)), 1e-9))
+    for seen, one in zip(views, examples, strict=True):
         aligned = seen.aligned(ReferencePicture(one.reference.coded, one.reference.camera, 0), colours=True)
         pictures = {UPSAMPLED: one.enlarged, DISTORTED: seen.distorted}
-        pictures |= {way: net.restore(RestoreInput(seen.distorted, aligned, level)) for way, net in networks.items()}
+        pictures |= {
+            way: net.restore(RestoreInput(seen.distorted, aligned, expected_db)) for way, net in networks.items()
+        }
         pictures[OURS] = seen.corrected(one.reference, corrector).rgb
         for way, picture in pictures.items():
             found[way].append(psnr(picture, one.truth))

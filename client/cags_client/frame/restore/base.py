@@ -23,25 +23,27 @@ class RestoreInput:
 
     distorted: F32  # [H, W, 3] in [0, 1]: the client's own render, premultiplied over black
     aligned: Aligned
-    level: float
-    """Detail of what is on screen in [0, 1] (:func:`level_of`). 0: all at the base; 1: all at the top of the ladder."""
+    expected_db: float
+    """PSNR that ``distorted`` is expected to have (:func:`expected_psnr_db`)."""
 
 
-def level_of(lod_mean: float, info: Manifest) -> float:
-    """How far up the ladder a mean LoD of the splats in view (``Shown.lod_mean``) is, in [0, 1] and in decibels: the
-    share that its levels have of what all levels of the content win, as the encoder measured it.
+TYPICAL_BASE_DB, TYPICAL_TOP_DB = 27.0, 51.0
+"""PSNR of the lowest and highest level of ladders that were measured; between them it rises as the root of the level.
+"""
 
-    Where it did not, the root of the share of levels: of what was measured that is near. 0 where nothing is in view
-    (NaN): what a reference shows there is all there is. 1 on a ladder of one level.
+
+def expected_psnr_db(lod_mean: float, info: Manifest) -> float:
+    """PSNR of pictures whose splats in view have a mean LoD of ``lod_mean`` (``Shown.lod_mean``), as the encoder
+    measured it; typical values where it did not. 0 where nothing is in view (NaN): a reference knows more.
     """
     if math.isnan(lod_mean):
         return 0.0
-    if info.lods == 1:
-        return 1.0
+    base_db = TYPICAL_BASE_DB if info.base_psnr_db is None else info.base_psnr_db
     won = np.cumsum([0.0, *(max(gain, 0.0) for gain in info.lod_gains_db)])
-    if won[-1] <= 0:
-        return math.sqrt(lod_mean / (info.lods - 1))
-    return float(np.interp(lod_mean, np.arange(len(won)), won) / won[-1])
+    if won[-1] > 0:
+        return base_db + float(np.interp(lod_mean, np.arange(len(won)), won))
+    share = lod_mean / (info.lods - 1) if info.lods > 1 else 1.0
+    return base_db + math.sqrt(share) * max(TYPICAL_TOP_DB - base_db, 0.0)
 
 
 class Restorer(Protocol):

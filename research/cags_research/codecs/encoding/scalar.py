@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
@@ -41,6 +42,7 @@ class ScalarCodec(ABC):
 
     lod_order: tuple[LodLayer, ...]
     lod_gains_db: tuple[float, ...] = ()
+    base_psnr_db: float | None = None
 
     def __init__(self, samples: Splats, settings: EncodeSettings, _weights: F64 | None = None) -> None:
         self.book = ScalarBook.over(split_attributes(samples))
@@ -85,10 +87,11 @@ class ScalarCodec(ABC):
             tile.add_layer(lod, payload)
             yield tile.dequantise()
 
-    def with_gains(self, gains_db: tuple[float, ...]) -> Self:
-        """The same codec; ``gains_db`` is what each LoD from 1 on brings."""
+    def with_measured(self, psnr_db: tuple[float, ...]) -> Self:
+        """The same codec, which knows the PSNR of each LoD from 0 on, or of none."""
         known = copy(self)
-        known.lod_gains_db = gains_db
+        known.base_psnr_db = psnr_db[0] if psnr_db else None
+        known.lod_gains_db = tuple(round(after - before, 4) for before, after in pairwise(psnr_db))
         return known
 
     def grid(self, coded: ByteSplats) -> PositionGrid:

@@ -45,4 +45,4 @@ def from_weights(weights: Weights, runtime: str = "", threads: int | None = None
 
     ready = runtimes.create(runtime or runtimes.DEFAULT, weights, threads)
     name = f"{weights.network}@{runtime}" if runtime else weights.network
-    return PictureRestorer(ready, name, replaces=weights.network != "srresnet", levelled=weights.gated)
+    return PictureRestorer(ready, name, replaces=weights.network != "srresnet", gated=weights.gated)

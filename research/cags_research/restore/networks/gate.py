@@ -1,14 +1,16 @@
-"""How much of a restored picture is shown: told from the level of what is on screen and from both pictures.
+"""How much of a restored picture is shown: told from both pictures and the PSNR that the client's own should have.
 
 At the base level a client's picture is 25 dB from the truth and an aligned reference 35; at the top of the ladder it
 is 50 dB. A network that sees twelve pixels around each has to restore the one and leave the other alone, and left to
-itself it does not learn when: it wins 7 dB at the base and loses 6 at the top. A gate that has to guess the level from
-the pictures does not either (+6.4, -1.3, -3.8 and -6.5 dB at 0, 0.3, 0.6 and 1 of the ladder). The client knows it.
+itself it does not learn when: it wins 7 dB at the base and loses 6 at the top. A gate that has to guess from the
+pictures does not either (+6.4, -1.3, -3.8 and -6.5 dB at 0, 0.3, 0.6 and 1 of the ladder). One that was told the level
+as a share of the ladder lost up to 1.8 dB in rooms, whose pictures are 8 dB better than others' at the same share. The
+encoder has measured every level of the content, so the client knows the PSNR itself.
 
-Of two pictures with errors that have nothing to do with each other the best mixture has the shares of the other's mean
-square: its log-odds are the difference in decibels. So the log-odds fall with the level, which counts decibels, by
-construction: the gate learns from the pictures where and how steeply. It does so for what is smooth and for what is
-sharp of the difference: of a reference's colours more is right than of its edges.
+Of two pictures with independent errors the best mixture has shares as the other's mean square, so its log-odds are the
+difference of their PSNR. The gate learns from the pictures what PSNR the restored one has from place to place, and how
+much the difference counts. It does so for what is smooth and for what is sharp of the difference: of a reference's
+colours more is right than of its edges.
 
 What the pictures tell is how they differ over a region: wrong colours differ in patches, a reference's blur and
 misregistration around edges. The latter can be told from the client's own picture: a blurred and shifted copy of it
@@ -18,6 +20,7 @@ one picture or of the other.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -35,9 +38,15 @@ _MEASURES = 7
 _LOG_MIDDLE, _LOG_SPREAD = -9.0, 3.0
 """Of the logarithms of mean squares between the floor and 1: about 0 in the middle, within two either way."""
 
+START_DB = 33.0
+"""Untrained: the PSNR of the restored picture."""
 
-START, FALL = 2.0, 5.6
-"""Untrained log-odds at the base, and by how much they fall to the top: 9 dB for the reference, 15 dB against it."""
+RANGE_DB = 15.0
+"""By how much it may be told to be better or worse. Without a bound a few steps of training make every share 1, from
+where no gradient leads back.
+"""
+
+LOG_ODDS_A_DB = math.log(10) / 10
 
 SMOOTH_PX = 7
 """Side of the box that parts what is smooth from what is sharp, client pixels."""
@@ -45,40 +54,42 @@ SMOOTH_PX = 7
 
 class ErrorGate(nn.Module):
     """What is shown of a restored picture: a share in (0, 1) of its smooth difference from the client's own, another of
-    the sharp rest. Neither share rises with the level.
+    the sharp rest. Neither share rises with the PSNR that the client's own is expected to have.
 
     Seven mean squares a cell (of the aligned reference's difference: its part that the client's picture does not
     explain, its means over 7, 15 and 31 pixels, its sharp part; of either picture: the sharp part) go through two 3x3
-    convolutions of 16 channels and one 1x1, which says the log-odds at the base and how fast they fall with the level.
+    convolutions of 16 channels and one 1x1, which says the PSNR of the restored picture, within 15 dB of 33, and how
+    much a decibel of difference counts, a half to two.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self.first = nn.Conv2d(_MEASURES, WIDTH, 3, padding=1, padding_mode="replicate")
         self.second = nn.Conv2d(WIDTH, WIDTH, 3, padding=2, dilation=2, padding_mode="replicate")
-        self.last = nn.Conv2d(WIDTH, 4, 1)  # at the base, smooth and sharp; the fall, smooth and sharp
-        nn.init.zeros_(self.last.weight)  # untrained, the level alone decides
-        assert self.last.bias is not None
-        nn.init.zeros_(self.last.bias)
+        self.said = nn.Conv2d(WIDTH, 4, 1)  # PSNR, of the smooth and the sharp; weight of a decibel, of either
+        nn.init.zeros_(self.said.weight)  # untrained, the expected PSNR alone decides
+        assert self.said.bias is not None
+        nn.init.zeros_(self.said.bias)
 
-    def shares(self, aligned: Tensor, distorted: Tensor, level: Tensor) -> Tensor:
+    def shares(self, aligned: Tensor, distorted: Tensor, expected_db: Tensor) -> Tensor:
         """Shares [B, 2, H, W] of what is smooth and of what is sharp. See :meth:`forward`."""
         height, width = aligned.shape[1], aligned.shape[2]
         spare = (0, -width % CELL_PX, 0, -height % CELL_PX)
         a, d = (functional.pad(image.permute(0, 3, 1, 2), spare, mode="replicate") for image in (aligned, distorted))
         features = functional.leaky_relu(self.first(_measures(a, d)), 0.1)
         features = functional.leaky_relu(self.second(features), 0.1)
-        said = self.last(features)
-        cells = torch.sigmoid(START + said[:, :2] - FALL * torch.exp(said[:, 2:]) * level)
+        said = self.said(features)
+        better_db = START_DB + RANGE_DB * torch.tanh(said[:, :2]) - expected_db
+        cells = torch.sigmoid(LOG_ODDS_A_DB * torch.exp2(torch.tanh(said[:, 2:])) * better_db)
         full = functional.interpolate(cells, scale_factor=CELL_PX, mode="bilinear", align_corners=False)
         return full[:, :, :height, :width]
 
-    def forward(self, aligned: Tensor, distorted: Tensor, restored: Tensor, level: Tensor) -> Tensor:
-        """What is shown [B, H, W, 3]. Images are [B, H, W, 3] of any size; ``level`` [B, 1, 1, 1] is in [0, 1]
-        (``RestoreInput.level``)."""
+    def forward(self, aligned: Tensor, distorted: Tensor, restored: Tensor, expected_db: Tensor) -> Tensor:
+        """What is shown [B, H, W, 3]. Images are [B, H, W, 3] of any size; ``expected_db`` [B, 1, 1, 1] is the
+        PSNR that ``distorted`` should have (``RestoreInput.expected_db``)."""
         difference = (restored - distorted).permute(0, 3, 1, 2)
         smooth = _blurred(difference, SMOOTH_PX)
-        shares = self.shares(aligned, distorted, level)
+        shares = self.shares(aligned, distorted, expected_db)
         shown = shares[:, :1] * smooth + shares[:, 1:] * (difference - smooth)
         return distorted + shown.permute(0, 2, 3, 1)
 

@@ -19,18 +19,18 @@ class PictureRestorer:
 
     needs = ALIGNED
 
-    def __init__(self, runtime: Runtime, name: str, *, replaces: bool, levelled: bool = False) -> None:
-        """``levelled``: the network is given the level of what is on screen as a third input."""
+    def __init__(self, runtime: Runtime, name: str, *, replaces: bool, gated: bool = False) -> None:
+        """``gated``: the network is given the expected PSNR as a third input."""
         self.name, self.replaces = name, replaces
-        self._runtime, self._levelled = runtime, levelled
+        self._runtime, self._gated = runtime, gated
 
     def restore(self, inputs: RestoreInput) -> F32:
         """See :class:`cags_client.frame.restore.base.Restorer`."""
         distorted, aligned = inputs.distorted, inputs.aligned
         if not self.replaces and not aligned.confidence.any():
             return distorted
-        level = (np.full((1, 1, 1), inputs.level, np.float32),) if self._levelled else ()
-        shown = self._runtime.run(filled(aligned.rgb, aligned.confidence, distorted), distorted, *level)
+        expected = (np.full((1, 1, 1), inputs.expected_db, np.float32),) if self._gated else ()
+        shown = self._runtime.run(filled(aligned.rgb, aligned.confidence, distorted), distorted, *expected)
         if not self.replaces:
             shown = distorted + reach(aligned.confidence)[..., None] * (shown - distorted)
         return np.clip(shown, 0.0, 1.0)

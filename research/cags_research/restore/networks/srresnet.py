@@ -5,7 +5,7 @@ batch norm) -> two more convolutions with LeakyReLU -> 3x3 convolution to RGB, p
 54,051 weights, 103 GMAC at 1600x1200 (Ledig et al. 2017, made light; FINDINGS of this project).
 
 ``srresnet`` may have a gate (:mod:`cags_research.restore.networks.gate`; 3,412 weights more), which says how much of
-its answer is shown in place of the distorted picture, by the level of what is on screen. The paper has none: its
+its answer is shown in place of the distorted picture, by the PSNR that this should have. The paper has none: its
 network is given two pictures and decides that itself. ``SrResNet(gated=False)`` is the paper's.
 
 ``sr-align-ref`` sees the aligned reference alone (super-resolution), ``cr-no-ref`` the distorted picture alone (colour
@@ -100,10 +100,11 @@ class SrResNet(nn.Module):
             self.head.weight[channel, 3 + colour, 1, 1] = -sign
             self.tail.weight[colour, channel, 1, 1] = sign / (1 + SLOPE)
 
-    def forward(self, aligned: Tensor, distorted: Tensor, level: Tensor | None = None) -> Tensor:
+    def forward(self, aligned: Tensor, distorted: Tensor, expected_db: Tensor | None = None) -> Tensor:
         """The restored picture before clipping: the loss looks at this, so that no gradient dies.
 
-        ``level`` [B, 1, 1, 1] is for the gate: :class:`ValueError` is raised where there is one and no level.
+        ``expected_db`` [B, 1, 1, 1] is the PSNR expected of ``distorted``, for the gate. :class:`ValueError` is raised
+        where there is a gate and no such PSNR.
         """
         base = distorted if self.sees is Sees.DISTORTED else aligned
         seen = torch.cat([aligned, distorted], dim=3) if self.sees is Sees.BOTH else base
@@ -114,9 +115,11 @@ class SrResNet(nn.Module):
             features = functional.leaky_relu(convolution(features), SLOPE, inplace=True)
         restored: Tensor = base + self.tail(features).permute(0, 2, 3, 1)
         if self.gate is not None:
-            if level is None:
-                raise ValueError("level = None: a network with a gate needs the level of what is on screen")
-            restored = self.gate(aligned, distorted, restored, level)
+            if expected_db is None:
+                raise ValueError(
+                    "expected_db = None: a network with a gate needs the expected PSNR of what is on screen"
+                )
+            restored = self.gate(aligned, distorted, restored, expected_db)
         return restored
 
 

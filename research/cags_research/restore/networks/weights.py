@@ -45,7 +45,7 @@ class Weights:
 
     @property
     def gated(self) -> bool:
-        """Whether their network has a gate, and is given the level as a third input."""
+        """Whether their network has a gate, and is given the expected PSNR as a third input."""
         return any(name.startswith("gate.") for name in self.arrays)
 
     def to_bytes(self) -> bytes:

@@ -37,7 +37,7 @@ class Crops:
     confidence: Bytes  # [N, S, S]
     truth: Bytes  # [N, S, S, 3]
     covered: Bytes  # [N, S, S] alpha of the truth
-    level: F32  # [N] that of the client's whole view, in [0, 1] (RestoreInput.level)
+    expected_db: F32  # [N] PSNR expected of the client's whole view (RestoreInput.expected_db)
     ladder: F32  # [N] mean LoD of the tiles, as a share of the ladder
 
     def __len__(self) -> int:
@@ -111,7 +111,7 @@ def _crops_at(areas: Sequence[tuple[slice, slice]], pair: Pair) -> Crops:
         confidence=_cut(inputs.aligned.confidence, areas),
         truth=_cut(pair.truth, areas),
         covered=_cut(pair.truth_alpha, areas),
-        level=np.full(len(areas), inputs.level, np.float32),
+        expected_db=np.full(len(areas), inputs.expected_db, np.float32),
         ladder=np.full(len(areas), pair.ladder, np.float32),
     )
 

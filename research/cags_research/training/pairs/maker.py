@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from cags_client.frame import align
 from cags_client.frame.align import ReferencePicture
-from cags_client.frame.restore import RestoreInput, level_of
+from cags_client.frame.restore import RestoreInput, expected_psnr_db
 from cags_common import raster
 from cags_common.geometry import F32, Camera
 from cags_common.poses import PoseTrace
@@ -41,6 +42,11 @@ class Tint:
     def of(self, rgb: F32) -> F32:
         """``rgb`` [H, W, 3] in these colours, clipped to [0, 1]."""
         return np.clip(rgb[..., self.order] * np.asarray(self.gains, np.float32), 0.0, 1.0)
+
+    @property
+    def fainter_db(self) -> float:
+        """By how much errors fall with the colours."""
+        return -10 * math.log10(sum(gain * gain for gain in self.gains) / 3)
 
     @staticmethod
     def draw(rng: np.random.Generator) -> Tint:
@@ -107,8 +113,8 @@ class PairMaker:
         reference = video.reference(scene, view.reference)
         assert distorted.depth is not None
         aligned = self._aligner.align(reference, distorted.depth, view.client)
-        level = level_of(self.ladder.lod_mean(lods, view.client), self.ladder.manifest)
-        inputs = RestoreInput(colours.of(distorted.rgb), aligned, level)
+        measured_db = expected_psnr_db(self.ladder.lod_mean(lods, view.client), self.ladder.manifest)
+        inputs = RestoreInput(colours.of(distorted.rgb), aligned, measured_db + colours.fainter_db)
         share = float(np.mean(lods)) / max(self.ladder.top, 1)
         return Pair(inputs, truth=colours.of(truth.rgb), truth_alpha=truth.alpha, ladder=share)
 

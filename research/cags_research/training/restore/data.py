@@ -18,7 +18,7 @@ from cags_research.training.pairs.maker import PairMaker
 from cags_research.training.pairs.settings import PairSettings
 from cags_research.training.pairs.views import focus_of_manifest, open_walks
 
-PAIRS_VERSION = 10
+PAIRS_VERSION = 11
 """Raised whenever the same scene and settings give other crops."""
 
 Tell = Callable[[str, int, int], None]

@@ -20,7 +20,7 @@ class Batch:
     confidence: F32  # [B, S, S, 1]
     truth: F32  # [B, S, S, 3]
     covered: F32  # [B, S, S, 1]
-    level: F32  # [B, 1, 1, 1] of the views that the patches are from
+    expected_db: F32  # [B, 1, 1, 1] PSNR expected of the views that the patches are from
 
 
 CLASSES_DB = (24.0, 28.0, 32.0, 36.0, 40.0, 45.0)
@@ -77,7 +77,7 @@ def _patch(crops: Crops, row: int, side: int, rng: np.random.Generator | None) -
         confidence=_as_float(crops.confidence[area])[..., None],
         truth=_as_float(crops.truth[area]),
         covered=_as_float(crops.covered[area])[..., None],
-        level=crops.level[row].reshape(1, 1, 1),
+        expected_db=crops.expected_db[row].reshape(1, 1, 1),
     )
 
 

@@ -38,7 +38,7 @@ class Score:
 
     scene: str
     ladder: float  # mean LoD of the tiles, as a share of the ladder
-    level: float  # what restorers are told (RestoreInput.level)
+    expected_db: float  # what restorers are told (RestoreInput.expected_db)
     width: int
     distorted_db: float  # PSNR over covered pixels
     gains_db: Mapping[str, float]  # over the distorted picture, by restorer
@@ -103,7 +103,7 @@ def score_of(pair: Pair, scene: str, restorers: Mapping[str, Restorer]) -> Score
         name: min(psnr(restorer.restore(inputs), pair.truth, covered), MAX_DB) - before
         for name, restorer in restorers.items()
     }
-    return Score(scene, round(pair.ladder, 4), round(inputs.level, 4), inputs.distorted.shape[1], before, gains)
+    return Score(scene, round(pair.ladder, 4), round(inputs.expected_db, 2), inputs.distorted.shape[1], before, gains)
 
 
 def table(scores: Sequence[Score]) -> str:

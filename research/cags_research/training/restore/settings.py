@@ -18,7 +18,7 @@ class TrainSettings:
     batch: int = setting(8, "crops a step", low=1, high=1024)
     patch: int = setting(64, "side of the patch used of each crop, client pixels", low=16, high=1024)
     rate: float = setting(1e-3, "highest learning rate; it rises over 2 % of the steps and falls as a cosine", low=0)
-    gate: bool = setting(True, "srresnet is told the level of what is on screen; the paper's network is not")
+    gate: bool = setting(True, "srresnet is told the PSNR expected of what is on screen; the paper's network is not")
     gate_steps: int = setting(500, "first steps in which the gate of srresnet learns alone", low=0, high=10_000_000)
     average: float = setting(0.998, "decay of the running average of weights that is kept", low=0, high=0.99999)
     evaluate_every: int = setting(1000, "steps between checkpoints, with an evaluation on held-out scenes", low=1)

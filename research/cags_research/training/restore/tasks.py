@@ -19,7 +19,7 @@ Task = Callable[[nn.Module, Batch, torch.device], Tensor]
 def restore_srresnet(network: nn.Module, batch: Batch, device: torch.device) -> Tensor:
     """The paper's network and its one-input variants."""
     aligned = filled(batch.aligned, batch.confidence[..., 0], batch.distorted)
-    images = (aligned, batch.distorted, batch.level)
+    images = (aligned, batch.distorted, batch.expected_db)
     restored: Tensor = network(*(torch.from_numpy(image).to(device) for image in images))
     return restored
 
@@ -59,7 +59,7 @@ def batch_loss(restored: Tensor, batch: Batch, device: torch.device) -> Tensor:
     """The loss of a batch: the log error of what is restored, and :data:`HARM` times its excess over the distorted.
 
     The gain of a coarse picture and the loss of a fine one weigh the same in decibels, but a viewer was promised the
-    gain: where the level and the pictures do not tell which of the two it will be, less is to be changed.
+    gain: where the expected PSNR and the pictures do not tell which of the two it will be, less is to be changed.
     """
     truth, covered, distorted = (
         torch.from_numpy(image).to(device) for image in (batch.truth, batch.covered, batch.distorted)

@@ -8,7 +8,7 @@ import pytest
 
 from cags_client.frame import pipeline, restore
 from cags_client.frame.pipeline import ClientPipeline
-from cags_client.frame.restore import RestoreInput, level_of
+from cags_client.frame.restore import RestoreInput, expected_psnr_db
 from cags_client.output.score import averages, score
 from cags_client.playback.jobs import Decode
 from cags_client.settings import ClientSettings
@@ -78,7 +78,7 @@ def test_a_restorer_that_replaces_the_picture_does_so_at_the_top_too(reader: Bun
     assert not np.array_equal(shown.rgb, shown.distorted)
 
 
-def test_a_restorer_is_told_the_level_of_what_is_on_screen(
+def test_a_restorer_is_told_the_psnr_expected_of_what_is_on_screen(
     reader: BundleReader, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told: list[float] = []
@@ -88,7 +88,7 @@ def test_a_restorer_is_told_the_level_of_what_is_on_screen(
         name, needs, replaces = "reference", plain.needs, True
 
         def restore(self, inputs: RestoreInput) -> np.ndarray:
-            told.append(inputs.level)
+            told.append(inputs.expected_db)
             return plain.restore(inputs)
 
     monkeypatch.setattr(restore, "create", lambda name, **_: Listening())
@@ -98,7 +98,7 @@ def test_a_restorer_is_told_the_level_of_what_is_on_screen(
         stage.send(0, lod + 1)
         stage.refer(0, pose, PICTURE)
         stage.show(0, pose)
-        assert told.pop() == pytest.approx(level_of(lod, reader.manifest))
+        assert told.pop() == pytest.approx(expected_psnr_db(lod, reader.manifest))
     assert not told
 
 

@@ -9,7 +9,16 @@ import pytest
 
 from cags_client.frame import restore
 from cags_client.frame.align import ReferencePicture, create
-from cags_client.frame.restore import CORRECT, NONE, RESTORERS, RestoreInput, level_of, references_wanted, switchable
+from cags_client.frame.restore import (
+    CORRECT,
+    NONE,
+    RESTORERS,
+    RestoreInput,
+    expected_psnr_db,
+    references_wanted,
+    switchable,
+)
+from cags_client.frame.restore.base import TYPICAL_BASE_DB, TYPICAL_TOP_DB
 from cags_common.bundle.manifest import Manifest
 from cags_common.errors import ConfigError
 from cags_common.geometry import Camera, Intrinsics, Pose
@@ -58,36 +67,37 @@ def test_reference_shows_the_aligned_picture_and_the_clients_own_where_it_says_n
     np.testing.assert_allclose(shown[inside], given.aligned.rgb[inside], atol=1e-6)
 
 
-def info(*gains_db: float, levels: int | None = None) -> Manifest:
+def info(*gains_db: float, base_db: float | None = None, levels: int | None = None) -> Manifest:
     """What a client knows of a ladder whose levels win ``gains_db``, or of one of ``levels`` that was not measured."""
     order = (LodLayer("scale", 1),) * (len(gains_db) if levels is None else levels)
     flat = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
-    return Manifest("", 30.0, 1, (0,), (1,), 0, flat, order, gains_db)
+    return Manifest("", 30.0, 1, (0,), (1,), 0, flat, order, gains_db, base_db)
 
 
 @pytest.mark.parametrize(
-    ("lod_mean", "gains_db", "level"),
+    ("lod_mean", "gains_db", "expected_db"),
     [
-        (0.0, (12.0, 6.0, 2.0), 0.0),
-        (0.5, (12.0, 6.0, 2.0), 0.3),
-        (1.0, (12.0, 6.0, 2.0), 0.6),
-        (3.0, (12.0, 6.0, 2.0), 1.0),
-        (1.0, (10.0, -1.0, 10.0), 0.5),
-        (2.0, (10.0, -1.0, 10.0), 0.5),
-        (math.nan, (12.0, 6.0, 2.0), 0.0),
-        (0.0, (), 1.0),
+        (0.0, (12.0, 6.0, 2.0), 30),
+        (0.5, (12.0, 6.0, 2.0), 36),
+        (1.0, (12.0, 6.0, 2.0), 42),
+        (3.0, (12.0, 6.0, 2.0), 50),
+        (1.0, (10.0, -1.0, 10.0), 40),
+        (2.0, (10.0, -1.0, 10.0), 40),
+        (math.nan, (12.0, 6.0, 2.0), 0),
+        (0.0, (), 51),
     ],
 )
-def test_a_level_is_the_share_of_the_decibels_that_levels_win(
-    lod_mean: float, gains_db: tuple[float, ...], level: float
+def test_what_is_expected_is_what_the_encoder_measured(
+    lod_mean: float, gains_db: tuple[float, ...], expected_db: float
 ) -> None:
-    assert level_of(lod_mean, info(*gains_db)) == pytest.approx(level)
+    assert expected_psnr_db(lod_mean, info(*gains_db, base_db=30.0)) == pytest.approx(expected_db)
 
 
 @pytest.mark.parametrize("gains_db", [(), (0.0,) * 16])
-def test_where_nothing_was_measured_a_level_is_the_root_of_its_share(gains_db: tuple[float, ...]) -> None:
-    for lod, level in ((0, 0.0), (1, 0.25), (4, 0.5), (16, 1.0)):
-        assert level_of(lod, info(*gains_db, levels=16)) == level
+def test_where_nothing_was_measured_typical_values_are_expected(gains_db: tuple[float, ...]) -> None:
+    for lod, share in ((0, 0.0), (1, 0.25), (4, 0.5), (16, 1.0)):
+        found = expected_psnr_db(lod, info(*gains_db, levels=16))
+        assert found == TYPICAL_BASE_DB + share * (TYPICAL_TOP_DB - TYPICAL_BASE_DB)
 
 
 @pytest.mark.parametrize("name", ["magic", "magic@torch", "", "@torch"])

@@ -22,6 +22,7 @@ MANIFEST = Manifest(
     bounds=((-1.0, -2.0, -3.0), (1.0, 2.0, 3.0)),
     lod_order=(LodLayer("scale", 1), LodLayer("sh0", 1)),
     lod_gains_db=(3.5, -0.1),
+    base_psnr_db=24.5,
     codec="svq",
     quantiser="paper-66",
     tracks=TrackStatistics(5, 20, 0.8, 2.5, (8, 4), ChangedShares(0.5, 0.0, 0.0, 0.9, 0.1, 0.0)),
@@ -41,8 +42,8 @@ def test_a_manifest_comes_back_and_its_public_part_says_nothing_of_files() -> No
 
 
 def test_what_is_optional_may_be_absent() -> None:
-    bare = replace(MANIFEST, tracks=None)
-    assert b"tracks" not in bare.to_json()
+    bare = replace(MANIFEST, tracks=None, base_psnr_db=None)
+    assert b"tracks" not in bare.to_json() and b"base_psnr_db" not in bare.to_json()
     assert Manifest.from_json(bare.to_json()) == bare
 
 
@@ -75,6 +76,7 @@ def test_unknown_fields_are_left_alone() -> None:
         ({"lod_order": [["scale"]]}, "must be"),
         ({"lod_order": [["scale", 1]] * 300}, "at most"),
         ({"lod_gains_db": [1.0]}, "lod_gains_db"),
+        ({"base_psnr_db": 1e9}, "base_psnr_db"),
         ({"up": [0, 1]}, "up must be three numbers"),
         ({"tracks": {"frames": 5}}, "tracks.changed is missing"),
         ({"tracks": TRACKS | {"linked_share": 1.5}}, r"tracks.linked_share = 1.5"),

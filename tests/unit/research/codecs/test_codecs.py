@@ -195,12 +195,14 @@ def test_gains_of_levels_are_measured_on_the_clip_and_kept_in_its_bundle(codec: 
         settings = EncodeSettings(codec=codec, frames=1, train_splats=500, lod_order=order)
         encode(open_scene("procedural:size=600,frames=1"), settings, str(bundle))
         with BundleReader.open(str(bundle)) as reader:
-            found[order] = reader.manifest.lod_gains_db
-            lods = reader.manifest.lods
-    assert found["paper"] == ()
-    assert len(found["measured"]) == lods - 1
-    assert all(gain > 0 for gain in found["measured"])
-    assert sum(found["measured"]) > 10
+            found[order] = reader.manifest
+    assert found["paper"].lod_gains_db == () and found["paper"].base_psnr_db is None
+    gains_db = found["measured"].lod_gains_db
+    assert len(gains_db) == found["measured"].lods - 1
+    assert all(gain > 0 for gain in gains_db)
+    assert sum(gains_db) > 10
+    base_db = found["measured"].base_psnr_db
+    assert base_db is not None and 5 < base_db < 50
 
 
 def test_levels_are_what_a_decoder_shows_one_after_the_other() -> None:

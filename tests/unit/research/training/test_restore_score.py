@@ -43,14 +43,14 @@ def pair(ladder=0.3, error=0.1):
     distorted = truth - np.where(covered, error, 0.4)[..., None].astype(np.float32)
     camera = Camera(Intrinsics.of_fov(6, 4, 1.0, 0.8), Pose.identity())
     aligned = align.create("fast").align(ReferencePicture(truth, camera, 0), np.ones((4, 6), np.float32), camera)
-    return Pair(RestoreInput(distorted, aligned, 0.4), truth=truth, truth_alpha=covered, ladder=ladder)
+    return Pair(RestoreInput(distorted, aligned, 20.0), truth=truth, truth_alpha=covered, ladder=ladder)
 
 
 def test_gains_are_over_what_the_scene_covers():
     score = score_of(pair(), "a", {"half": Fills(0.45), "true": Fills(0.5), "worse": Fills(0.3)})
     assert score.distorted_db == pytest.approx(20, abs=1e-4)
     assert score.gains_db == pytest.approx({"half": 6.0206, "true": MAX_DB - 20, "worse": -6.0206}, abs=1e-3)
-    assert (score.ladder, score.level, score.width) == (0.3, 0.4, 6)
+    assert (score.ladder, score.expected_db, score.width) == (0.3, 20, 6)
 
 
 class Drawn:
@@ -99,10 +99,13 @@ def test_from_a_scene_to_scores_of_names_and_files(tmp_path, capsys):
     words = ["score", "--scene", "procedural:size=1500", "--views", "1", "--levels", "0 1", "--json", "reference"]
     assert main([*words, str(tmp_path / "w.npz")]) == 0
     base, top = (json.loads(line) for line in capsys.readouterr().out.splitlines())
-    assert (base["ladder"], top["ladder"]) == (base["level"], top["level"]) == (0, 1)
+    assert (base["ladder"], top["ladder"]) == (0, 1)
     assert base["distorted_db"] < top["distorted_db"]
+    assert base["expected_db"] + 10 < top["expected_db"]
     gains = top["gains_db"]
-    assert gains["reference"] < gains[str(tmp_path / "w.npz")], "the level keeps the gate from what the reference lacks"
+    assert gains["reference"] < gains[str(tmp_path / "w.npz")], (
+        "what is expected keeps the gate from what the reference lacks"
+    )
 
 
 def test_a_restorer_that_is_not_there_is_named(tmp_path, capsys):

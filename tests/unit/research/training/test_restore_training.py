@@ -36,7 +36,7 @@ def crops(count=12, seed=0):
         confidence=full,
         truth=truth,
         covered=full,
-        level=np.sqrt(ladder),
+        expected_db=27 + 24 * np.sqrt(ladder),
         ladder=ladder,
     )
 
@@ -187,7 +187,7 @@ def test_the_gate_learns_alone_for_its_first_steps_and_is_scored_then():
         assert not np.array_equal(alone.arrays[name], end.arrays[name]), name
 
 
-def test_the_papers_network_trains_without_a_gate_and_is_told_no_level():
+def test_the_papers_network_trains_without_a_gate_and_is_told_no_psnr():
     trainer = Trainer(settings(gate=False, gate_steps=3), crops(), crops(4, seed=1), 0)
     before = trainer.checkpoint().arrays
     run(trainer)
@@ -207,11 +207,14 @@ def test_what_is_shown_is_trained_and_not_what_lies_beyond_the_reach_of_the_refe
         np.testing.assert_array_equal(before[f"network/{name}"], array)
 
 
-def test_a_gate_learns_from_the_level_what_the_pictures_do_not_tell():
+def test_a_gate_learns_from_the_expected_psnr_what_the_pictures_do_not_tell():
     """At the base the reference is right, at the top the client's picture is: the pictures are drawn alike."""
     base = crops(24)
     top = replace(base, distorted=base.truth, aligned=base.distorted)
-    parts = [replace(of, level=np.full(24, x, "f"), ladder=np.full(24, x, "f")) for of, x in ((base, 0), (top, 1))]
+    parts = [
+        replace(of, expected_db=np.full(24, psnr_db, "f"), ladder=np.full(24, share, "f"))
+        for of, psnr_db, share in ((base, 22, 0), (top, 60, 1))
+    ]
     mixed = Crops.concatenate(parts)
     trainer = Trainer(settings(steps=60, gate_steps=60, rate=1e-2, evaluate_every=60), mixed, mixed, 0)
     run(trainer)

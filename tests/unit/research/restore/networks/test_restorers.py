@@ -11,7 +11,7 @@ from cags_client.frame.restore import RestoreInput
 from cags_common.errors import ConfigError
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_research.restore.networks import NETWORKS, Weights, create, from_weights, network_of, runtimes
-from cags_research.restore.networks.gate import FALL, START
+from cags_research.restore.networks.gate import START_DB
 from cags_research.restore.networks.inputs import filled, reach
 from cags_research.restore.networks.srresnet import Sees, SrResNet
 
@@ -33,9 +33,9 @@ def weights_of(network, name):
     return Weights(name, {k: p.detach().numpy() for k, p in network.named_parameters()}, {})
 
 
-def plane(level):
+def plane(expected_db):
     torch = pytest.importorskip("torch")
-    return torch.full((1, 1, 1, 1), float(level))
+    return torch.full((1, 1, 1, 1), float(expected_db))
 
 
 def untrained():
@@ -79,19 +79,19 @@ def test_the_papers_network_starts_from_a_picture(sees, shown):
         assert torch.allclose(SrResNet(sees)(*pictures), pictures[shown], atol=1e-6)
 
 
-@pytest.mark.parametrize("level", [None, 0.0, 0.25, 1.0])
-def test_training_starts_from_the_blurred_difference(level):
-    """The detail of the client's picture in the colours of the reference, by what the level says of the two."""
+@pytest.mark.parametrize("expected_db", [None, 0.0, 27.0, 51.0])
+def test_training_starts_from_the_blurred_difference(expected_db):
+    """The detail of the client's picture in the colours of the reference, by the PSNR expected of the two."""
     torch = pytest.importorskip("torch")
     aligned, distorted = torch.rand(2, 1, 21, 26, 3, generator=torch.Generator().manual_seed(0))
-    network = SrResNet(gated=level is not None)
+    network = SrResNet(gated=expected_db is not None)
     network.start_at_blurred()
     blurred = (aligned - distorted).permute(0, 3, 1, 2)
     for _ in range(6):
         blurred = torch.nn.functional.avg_pool2d(blurred, 3, 1, 1)
     with torch.no_grad():
-        shown = network(aligned, distorted, *(() if level is None else (plane(level),)))
-    share = 1.0 if level is None else 1 / (1 + np.exp(FALL * level - START))
+        shown = network(aligned, distorted, *(() if expected_db is None else (plane(expected_db),)))
+    share = 1.0 if expected_db is None else 1 / (1 + 10 ** ((expected_db - START_DB) / 10))
     assert torch.allclose(shown, distorted + share * blurred.permute(0, 2, 3, 1), atol=1e-6)
 
 
@@ -100,16 +100,15 @@ def test_a_gate_shows_what_it_is_told_to():
     aligned, distorted = torch.rand(2, 1, 13, 22, 3, generator=torch.Generator().manual_seed(1))
     network = SrResNet(gated=True)
     torch.nn.init.normal_(network.tail.weight, std=0.1)
-    for bias, shows in ((-30.0, "distorted"), (30.0, "restored")):
-        network.gate.last.bias.data[:2] = bias
+    for expected_db, shows in ((130.0, "distorted"), (-80.0, "restored")):
         with torch.no_grad():
-            shown = network(aligned, distorted, plane(0.2))
+            shown = network(aligned, distorted, plane(expected_db))
             gate, network.gate = network.gate, None
             restored, network.gate = network(aligned, distorted), gate
         assert torch.allclose(shown, distorted if shows == "distorted" else restored, atol=1e-6)
     with pytest.raises(ValueError, match="reference alone has none"):
         SrResNet(Sees.REFERENCE, gated=True)
-    with pytest.raises(ValueError, match="needs the level"):
+    with pytest.raises(ValueError, match="needs the expected PSNR"):
         network(aligned, distorted)
 
 
@@ -119,18 +118,16 @@ def learnt_gate():
     torch.manual_seed(3)
     network = SrResNet(gated=True)
     network.start_at_blurred()
-    torch.nn.init.normal_(network.gate.last.weight, std=0.5)
-    torch.nn.init.normal_(network.gate.last.bias, std=0.5)
+    torch.nn.init.normal_(network.gate.said.weight, std=0.3)
+    torch.nn.init.normal_(network.gate.said.bias, std=0.3)
     return network
 
 
-def test_whatever_a_gate_has_learnt_its_share_falls_with_the_level_everywhere():
+def test_whatever_a_gate_has_learnt_its_share_falls_with_the_expected_psnr_everywhere():
     torch = pytest.importorskip("torch")
     aligned, distorted = torch.rand(2, 1, 40, 56, 3, generator=torch.Generator().manual_seed(2))
     with torch.no_grad():
-        shares = torch.cat(
-            [learnt_gate().gate.shares(aligned, distorted, plane(level)) for level in np.linspace(0, 1, 9)]
-        )
+        shares = torch.cat([learnt_gate().gate.shares(aligned, distorted, plane(db)) for db in np.linspace(24, 48, 9)])
     assert (shares[1:] < shares[:-1]).all()
     assert shares.std(dim=(1, 2, 3)).min() > 1e-4, "the pictures have a say, too"
 
@@ -145,24 +142,22 @@ def test_at_the_top_of_the_ladder_training_starts_as_good_as_the_identity():
     network = SrResNet(gated=True)
     network.start_at_blurred()
     with torch.no_grad():
-        shown = network(torch.from_numpy(aligned), torch.from_numpy(distorted), plane(1.0)).numpy()
+        shown = network(torch.from_numpy(aligned), torch.from_numpy(distorted), plane(48.0)).numpy()
     before, after = (float(np.square(picture - truth).mean()) for picture in (distorted, shown))
     assert 10 * np.log10(after / before) < 0.1
 
 
-def test_a_restorer_tells_its_network_the_level():
+def test_a_restorer_tells_its_network_what_is_expected():
     inputs, truth = scene()
     restorer = from_weights(weights_of(learnt_gate(), "srresnet"))
-    errors = [float(np.abs(restorer.restore(replace(inputs, level=x)) - truth).mean()) for x in (0.0, 0.3, 1.0)]
+    errors = [float(np.abs(restorer.restore(replace(inputs, expected_db=x)) - truth).mean()) for x in (20, 33, 50)]
     assert errors[0] < errors[1] < errors[2]
 
 
-def test_weights_of_a_gate_that_was_not_told_the_level_are_refused_with_the_way_out():
+def test_weights_of_a_gate_that_was_told_something_else_are_refused_with_the_way_out():
     weights = weights_of(SrResNet(gated=True), "srresnet")
-    before = {**weights.arrays, "gate.last.weight": np.zeros((1, 16, 1, 1), "f"), "gate.last.bias": np.zeros(1, "f")}
-    with pytest.raises(
-        ConfigError, match=r"'gate\.last\.bias' is .* of another shape; train them anew with 'cags-train"
-    ):
+    before = {name.replace("said", "last"): array for name, array in weights.arrays.items()}
+    with pytest.raises(ConfigError, match=r"'gate\.last\.bias' is .*unknown.*; train them anew with 'cags-train"):
         network_of(replace(weights, arrays=before))
 
 
@@ -190,12 +185,12 @@ def test_every_runtime_says_the_same(name, gated):
     made = SrResNet(gated=gated)
     torch.nn.init.normal_(made.tail.weight, std=0.1)
     if gated:
-        torch.nn.init.normal_(made.gate.last.weight, std=0.5)
+        torch.nn.init.normal_(made.gate.said.weight, std=0.5)
     rng = np.random.default_rng(2)
     weights = weights_of(made, "srresnet")
     for shape in ((24, 32), (16, 8), (19, 29)):
         images = [rng.uniform(size=(*shape, 3)).astype(np.float32) for _ in range(2)]
-        images += [np.full((1, 1, 1), 0.1, np.float32)] if gated else []
+        images += [np.full((1, 1, 1), 30, np.float32)] if gated else []
         expected = runtimes.create("torch", weights).run(*images)
         np.testing.assert_allclose(runtimes.create(name, weights, threads=1).run(*images), expected, atol=1e-3)
 
