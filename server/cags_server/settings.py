@@ -81,6 +81,13 @@ class ServerSettings:
     tiles_ahead: int = setting(
         8, "frames by which tiles precede the references that assume them", low=1, high=30, research=True
     )
+    reserve_s: float = setting(
+        2.0,
+        "longest time by which tiles precede their frame over a link with capacity to spare, seconds; 0: no more than "
+        "--tiles-ahead",
+        low=0.0,
+        high=30.0,
+    )
     opening_tiles: bool = setting(True, "send the base layers of the first frame before playback begins", research=True)
     rasteriser: str = setting(
         "auto", "rasteriser: auto (gpu if there is a graphics processor, else cpu), gpu, cpu or oracle (slow, exact)"

@@ -33,6 +33,7 @@ SETTINGS = ServerSettings(
     fov_margin=0.1,
     abr="paper",
     tiles_ahead=1,
+    reserve_s=0.0,
 )
 BIRTH = 3
 """Frame of a group at which splats are born."""

@@ -85,8 +85,6 @@ class Manifest:
     lod_gains_db: tuple[float, ...]
     """PSNR gained by each level of ``lod_order``, measured on renders of this content; empty when it was not measured.
     """
-    base_psnr_db: float | None = None
-    """PSNR of level 0 in those renders; None when it was not measured."""
     codec: str = "svq"
     """Name of the tile codec (:data:`cags_common.bundle.codecs.TILE_CODECS`)."""
     quantiser: str = ""
@@ -107,6 +105,8 @@ class Manifest:
     """How splats continue from frame to frame; for people."""
     view: AuthorView | None = None
     """How the author wants the scene to be opened."""
+    base_psnr_db: float | None = None
+    """PSNR of level 0 in the renders that ``lod_gains_db`` is from; None when it was not measured."""
     version: int = VERSION
 
     @property

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from cags_server.ratecontrol.base import Observation, TileView
+from enum import Enum, auto
+
+from cags_server.ratecontrol.base import Decision, Observation, TileView
 from cags_server.ratecontrol.utility import AHEAD_FRAMES, errors_of, left_by
 
 NEAR = 2.0
@@ -13,6 +15,24 @@ def lacking_bytes(observation: Observation) -> int:
     """Bytes missing until every visible tile reaches a good level; tiles that begin later count less."""
     errors = errors_of(observation)
     return round(sum(_early(tile, observation.frame) * _bytes(tile, errors.lods) for tile in observation.tiles))
+
+
+class Supply(Enum):
+    """What a client will have of the visible tiles of a frame."""
+
+    BASE_MISSING = auto()
+    DETAIL_MISSING = auto()
+    COMPLETE = auto()
+
+
+def supply(observation: Observation, decision: Decision) -> Supply:
+    """What the client will have of the tiles that count at the observation's frame after ``decision``."""
+    depths = {(upgrade.frame, upgrade.tile): upgrade.to_lod for upgrade in decision.upgrades}
+    begun = [tile for tile in observation.tiles if tile.frame <= observation.frame]
+    reached = [(depths.get((tile.frame, tile.tile), tile.depth), tile.max_depth) for tile in begun]
+    if not all(depth for depth, _ in reached):
+        return Supply.BASE_MISSING
+    return Supply.COMPLETE if all(depth >= most for depth, most in reached) else Supply.DETAIL_MISSING
 
 
 def _early(tile: TileView, frame: int) -> float:

@@ -31,6 +31,8 @@ class TileMap:
         self.start = entries[0].frame
         self.firsts = tuple(accumulate((len(entry.tiles) for entry in entries[:-1]), initial=0))
         """Number of the first tile of each frame."""
+        new = (sum(tile.splats for tile in entry.tiles if tile.kind == TileKind.LOOKS) for entry in entries)
+        self._splats = tuple(accumulate(new))
         self.frames: Numbers = np.array([frame for frame, _ in tiles], np.int32)
         self.tiles: Numbers = np.array([tile.tile for _, tile in tiles], np.int32)
         self.kinds: NDArray[np.uint8] = np.array([tile.kind for _, tile in tiles], np.uint8)
@@ -51,6 +53,10 @@ class TileMap:
     def number(self, frame: int, tile: int) -> int:
         """The number of a tile of ``frame``, a frame of the group."""
         return self.firsts[frame - self.start] + tile
+
+    def new_splats(self, frame: int, later: int) -> int:
+        """Splats of all looks of the frames after ``frame`` up to ``later``, two frames of the group in order."""
+        return self._splats[later - self.start] - self._splats[frame - self.start]
 
     def key(self, number: int) -> Key:
         """(media frame, tile) of a number."""

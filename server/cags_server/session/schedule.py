@@ -17,6 +17,7 @@ from cags_protocol.wire.messages import Control
 from cags_server.link import LinkState
 from cags_server.link.pace import Pace
 from cags_server.session.clock import ClientClock
+from cags_server.session.reserve import Reserve
 from cags_server.settings import ServerSettings
 
 RENDER_GRACE, SEEN_GRACE, UNSEEN_GRACE_LEADS = (2.0, 0.4), (1.0, 0.25), 0.5
@@ -53,7 +54,8 @@ class Schedule:
         """Duration of reference renders."""
         self._lead_frames, self._reference_every = settings.lead_frames, settings.reference_every
         self._poor_lead_frames = min(settings.poor_lead_frames, settings.lead_frames)
-        self._tiles_ahead = settings.tiles_ahead
+        self.reserve = Reserve(settings.tiles_ahead, settings.reserve_s)
+        """By how many frames tiles precede references."""
         self._poor = False  # the client's own picture
         self._clock = clock
         self._controlled = False
@@ -101,6 +103,7 @@ class Schedule:
 
     def _count_anew(self) -> None:
         self._from_tick, self._blind_tick, self._rendered_tick, self._served_ahead = 0, -1, None, 0
+        self.reserve.restart()
 
     def media_frame(self, tick: int) -> int | None:
         """A paused viewer still moves, so the same frame is planned repeatedly. None after the end."""
@@ -117,15 +120,16 @@ class Schedule:
         last = tick if t.loop or not t.playing else t.round_end(tick) - 1
         return min(tick, last) if last >= self._from_tick else tick
 
-    def ahead(self, tick: int) -> int:
-        """The tick whose tiles go out with the reference of ``tick``; at most the last one of the clip.
+    def ahead(self, tick: int, frames: int | None = None) -> int:
+        """The tick whose tiles go out with the reference of ``tick``, ``frames`` later (None: by the reserve); at most
+        the last one of the clip.
 
         It never falls; otherwise a client that displays more frames than before would seem to have gone back.
         """
         t, after = self.timeline, tick
-        for _ in range(self._tiles_ahead):
+        for _ in range(self.reserve.frames if frames is None else frames):
             after = next_displayed(after + 1, self.cadence_permille)
-        after = max(after, self._served_ahead)
+        after = max(after, self._served_ahead if frames is None else 0)
         return after if t.loop or not t.playing else max(tick, min(after, t.round_end(tick) - 1))
 
     @property

@@ -31,7 +31,7 @@ from cags_server.link.pace import MARGIN_US
 from cags_server.link.reference_budget import REFERENCE_OVERHEAD_BYTES, ReferenceBudget
 from cags_server.ratecontrol import Decision, Observation, create_rate_policy
 from cags_server.ratecontrol.base import mean_level
-from cags_server.ratecontrol.outlook import lacking_bytes
+from cags_server.ratecontrol.outlook import lacking_bytes, supply
 from cags_server.ratecontrol.priorities import BLOB_PRIORITY
 from cags_server.records import Ahead, FrameRecord, ReferenceCosts, StreamStats
 from cags_server.reference.coder import ReferenceCoder
@@ -62,6 +62,13 @@ coding.
 
 OVERLOAD = 1.5
 """Largest time to make a reference, in intervals between references; beyond it references become rare."""
+
+RESERVED_SPLATS = 1 << 20
+"""Largest number of splats that appear within the reserve: the client holds them decoded, up to 240 bytes each."""
+
+LOOK_BACK_EVERY = 4
+"""Planned frames until what the reserve has passed over is looked for again; every frame where splats are sent whole.
+"""
 
 GREETING_DEADLINE_US = 2_000_000
 """Time after which a first picture is useless, because tiles have arrived."""
@@ -557,6 +564,7 @@ class Streamer:
         ahead = record.ahead
         if self._schedule.timeline.playing:
             self._arrivals.expect(ahead.frame, ahead.display_us)
+        visible += self._passed_by(record, visible)
         visible = self._visibility.with_ghosts(visible, ahead.frame, camera, self._tiles.inventory, self._tiles.age)
         decision = self._decide(visible, record, now_us)
         deadline_us = self._viewer.clock.to_server(ahead.display_us) + int(self._settings.tile_deadline_ms * 1000)
@@ -564,6 +572,32 @@ class Streamer:
         frames = [each.message.frame for each in out if isinstance(each.message, FrameEnd)]
         self._ends_due_us |= dict.fromkeys(frames, ahead.display_us)
         return self._counted(out, now_us)
+
+    def _reserve_is_full(self, record: FrameRecord) -> bool:
+        """Whether the frame after the one whose tiles were chosen is not to be reached yet: because of what the client
+        would hold, or because it is in another group than the displayed one, of which nothing was seen.
+        """
+        schedule, gof_of = self._schedule, self._library.manifest.gof_of
+        after = schedule.media_frame(schedule.ahead(record.tick, schedule.reserve.frames + 1))
+        if after is None or after <= record.frame:  # the clip ends, or begins again
+            return False
+        if gof_of(after) != gof_of(record.frame):
+            return True
+        return self._library.tile_map(after).new_splats(record.frame, after) > RESERVED_SPLATS
+
+    def _passed_by(self, record: FrameRecord, visible: tuple[VisibleTile, ...]) -> tuple[VisibleTile, ...]:
+        """Tiles of a frame nearer than the reserve reaches, of which the client holds nothing: when their own frame was
+        planned, the viewer did not see them.
+        """
+        every = 1 if self._library.manifest.motion is None else LOOK_BACK_EVERY
+        if not self._schedule.reserve.grown or record.tick % every:
+            return ()
+        near = self._schedule.media_frame(self._schedule.ahead(record.tick, self._settings.tiles_ahead))
+        if near is None or near >= record.ahead.frame or not self._visibility.tells_of(near):
+            return ()
+        known = {(tile.frame, tile.tile) for tile in visible}
+        tiles = [tile for tile in self._visibility.tiles(near) if (tile.frame, tile.tile) not in known]
+        return tuple(tile for tile in tiles if not self._tiles.inventory.depth(tile.frame, tile.tile))
 
     def _record(self, plan: FramePlan) -> FrameRecord:
         record = FrameRecord(
@@ -587,7 +621,8 @@ class Streamer:
         record.estimate_bps = self._link.estimate_bps(now_us)
         frame, display_us = record.ahead.frame, record.ahead.display_us
         to_display_us = self._viewer.clock.to_server(display_us) - now_us
-        lead_frames = to_display_us / self._schedule.timeline.period_us
+        longest_us = self._schedule.lead_us + self._settings.tiles_ahead * self._schedule.planned_period_us
+        lead_frames = min(to_display_us, longest_us) / self._schedule.timeline.period_us
         views = [self._tiles.view(tile, frame, lead_frames) for tile in visible]
         record.level = mean_level(views)
         tiles = tuple(view for view in views if view.kind == TileKind.LOOKS or not view.complete)
@@ -614,6 +649,10 @@ class Streamer:
         decision = self._policy.decide(observation)
         coming_bytes = self._budget.outstanding_bytes + lacking_bytes(observation)
         self._worth.observe(coming_bytes, record.estimate_bps, self._schedule.timeline.period_us)
+        if self._reserve_is_full(record):
+            self._schedule.reserve.hold()
+        else:
+            self._schedule.reserve.planned(supply(observation, decision), period_us=period_us)
         record.tile_bytes += decision.bytes
         self._budget.close(earned_bytes - decision.bytes, now_us)
         record.visible_tiles, record.upgrades = len(visible), len(decision.upgrades)

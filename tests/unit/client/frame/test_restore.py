@@ -71,7 +71,7 @@ def info(*gains_db: float, base_db: float | None = None, levels: int | None = No
     """What a client knows of a ladder whose levels win ``gains_db``, or of one of ``levels`` that was not measured."""
     order = (LodLayer("scale", 1),) * (len(gains_db) if levels is None else levels)
     flat = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
-    return Manifest("", 30.0, 1, (0,), (1,), 0, flat, order, gains_db, base_db)
+    return Manifest("", 30.0, 1, (0,), (1,), 0, flat, order, gains_db, base_psnr_db=base_db)
 
 
 @pytest.mark.parametrize(

@@ -45,6 +45,12 @@ def test_a_tile_follows_the_newest_motion_that_has_begun(frame: int, now: list[i
     assert tiles.chunks_until(0, frame) == ([2] if frame < 12 else [3, 2])
 
 
+def test_new_splats_are_those_of_looks_of_later_frames() -> None:
+    tiles = TileMap(TWO)
+    assert [tiles.new_splats(10, later) for later in range(10, 14)] == [0, 0, 0, 4]
+    assert tiles.new_splats(13, 13) == 0
+
+
 def test_motion_of_looks_that_are_not_there_is_refused() -> None:
     for of in ((10, 7), (9, 0), (11, 0)):
         with pytest.raises(BundleError, match="frame 10, tile 1"):

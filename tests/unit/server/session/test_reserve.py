@@ -1,0 +1,124 @@
+"""The reserve of frames: it grows over an idle link, is used up over a slow one, and keeps to one group of frames."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cags_common.geometry import Pose
+from cags_protocol import events as ev
+from cags_protocol.wire.messages import FrameEnd, ReferenceFrame, TileLayers
+from cags_server.ratecontrol.outlook import Supply
+from cags_server.session import streamer
+from cags_server.session.reserve import Reserve
+from support.server_scene import BIRTH, SETTINGS, hello
+from support.streamer_rig import Rig, of
+
+LEAST = 2
+RESERVED = replace(SETTINGS, tiles_ahead=LEAST, reserve_s=0.4)
+"""A fast link carries every tile of the wall at once."""
+
+BEHIND = Pose.looking_at((0, 0, 0), (0, 0, -3), (0, -1, 0))
+
+
+def ends(outgoing: list[ev.Outgoing]) -> list[int]:
+    return [end.frame for end in of(FrameEnd, outgoing)]
+
+
+def test_it_grows_only_while_the_client_has_everything() -> None:
+    reserve = Reserve(2, 1.0)
+    for supply, frames in [
+        (Supply.COMPLETE, 3),
+        (Supply.DETAIL_MISSING, 3),
+        (Supply.COMPLETE, 4),
+        (Supply.BASE_MISSING, 3),
+        (Supply.BASE_MISSING, 2),
+        (Supply.BASE_MISSING, 2),
+    ]:
+        reserve.planned(supply, period_us=1e6 / 30)
+        assert (reserve.frames, reserve.grown) == (frames, frames > 2)
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from(Supply), st.sampled_from([1e6 / 60, 1e6 / 30, 1e6 / 3]))),
+    st.integers(1, 30),
+    st.floats(0, 5),
+)
+def test_it_lies_between_its_bounds(plans: list[tuple[Supply, float]], least: int, longest_s: float) -> None:
+    reserve, longest = Reserve(least, longest_s), 1e6 / 60
+    for supply, period_us in plans:
+        reserve.planned(supply, period_us=period_us)
+        assert least <= reserve.frames <= max(least, longest_s * 1e6 / longest)
+    reserve.restart()
+    assert reserve.frames == least
+
+
+def test_over_an_idle_link_each_frame_ends_earlier_than_the_one_before() -> None:
+    rig = Rig(RESERVED, frames=60, gof=60)
+    rig.play()
+    sent = list(rig.opening)
+    leads = []
+    for frame in range(40):
+        out = rig.step()
+        assert [reference.frame for reference in of(ReferenceFrame, out)] == [frame]
+        leads.append(rig.streamer.stats.records[-1].ahead.frame - frame)
+        sent += out
+    assert leads[0] == LEAST
+    assert max(leads) == 12, "0.4 seconds"
+    assert leads == sorted(leads)
+    ended = ends(sent)
+    assert ended == list(range(ended[-1] + 1)), "each once, and in order"
+
+
+def test_a_seek_begins_without_a_reserve() -> None:
+    rig = Rig(RESERVED, frames=60, gof=60)
+    rig.play()
+    for _ in range(10):
+        rig.step()
+    assert rig.streamer.stats.records[-1].ahead.frame - 9 > LEAST
+    rig.control("seek", 30, 900_000)
+    rig.step()
+    record = rig.streamer.stats.records[-1]
+    assert (record.frame, record.ahead.frame) == (30, 30 + LEAST)
+
+
+def test_it_ends_before_the_next_group_of_frames_which_is_entered_as_without_it() -> None:
+    rig = Rig(RESERVED, frames=60, gof=20)
+    rig.play()
+    for frame in range(60):
+        rig.step()
+        record = rig.streamer.stats.records[-1]
+        ahead = min(record.ahead.frame, 59)
+        assert ahead // 20 == frame // 20 or ahead - frame <= LEAST, (frame, ahead)
+
+
+def test_what_comes_into_view_is_sent_for_frames_that_were_planned_already() -> None:
+    """Splats are born in the fourth frame, which is planned while the viewer looks away from them, and seen before."""
+    rig = Rig(replace(RESERVED, opening_tiles=False, predictor="hold"), joins=hello(BEHIND), frames=60, gof=60)
+    rig.poses(0, 20_000, pose=BEHIND)
+    rig.control("play")
+    while rig.streamer.stats.records[-1].ahead.frame < BIRTH + 8 if rig.streamer.stats.records else True:
+        assert of(TileLayers, rig.step()) == []
+    near = rig.streamer.stats.records[-1].frame + 1 + LEAST
+    seen_us = rig.now_us - 5_000_000
+    rig.poses(seen_us, seen_us + 1000)
+    sent = rig.step() + rig.step()
+    brought = {(tile.frame, tile.tile) for tile in of(TileLayers, sent) if tile.from_lod == 0}
+    whole = {frame for frame, _ in brought}
+    assert any(frame <= near for frame in whole), "of the frames that are displayed first"
+    assert any(frame > near for frame in whole), "and of those that the reserve has reached"
+
+
+def test_it_is_bounded_by_the_splats_that_a_client_would_hold(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One splat of the wall changes in every frame."""
+    monkeypatch.setattr(streamer, "RESERVED_SPLATS", 7)
+    rig = Rig(RESERVED, frames=60, gof=60)
+    rig.play()
+    leads = []
+    for frame in range(30):
+        rig.step()
+        leads.append(rig.streamer.stats.records[-1].ahead.frame - frame)
+    assert max(leads) == 7
