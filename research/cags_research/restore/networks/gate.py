@@ -10,7 +10,8 @@ encoder has measured every level of the content, so the client knows the PSNR it
 Of two pictures with independent errors the best mixture has shares as the other's mean square, so its log-odds are the
 difference of their PSNR. The gate learns from the pictures what PSNR the restored one has from place to place, and how
 much the difference counts. It does so for what is smooth and for what is sharp of the difference: of a reference's
-colours more is right than of its edges.
+colours more is right than of its edges. Where two pictures differ by much more than the client's own should be wrong,
+the reference is what is wrong: so what is expected is among what the PSNR of the restored one is told from, too.
 
 What the pictures tell is how they differ over a region: wrong colours differ in patches, a reference's blur and
 misregistration around edges. The latter can be told from the client's own picture: a blurred and shifted copy of it
@@ -34,9 +35,12 @@ WIDTH = 16
 FLOOR = 1e-6
 """Mean square under which differences are nothing: 60 dB."""
 
-_MEASURES = 7
+_MEASURES = 8
 _LOG_MIDDLE, _LOG_SPREAD = -9.0, 3.0
 """Of the logarithms of mean squares between the floor and 1: about 0 in the middle, within two either way."""
+
+MIDDLE_DB, SPREAD_DB = 36.0, 12.0
+"""Of expected PSNR."""
 
 START_DB = 33.0
 """Untrained: the PSNR of the restored picture."""
@@ -54,12 +58,12 @@ SMOOTH_PX = 7
 
 class ErrorGate(nn.Module):
     """What is shown of a restored picture: a share in (0, 1) of its smooth difference from the client's own, another of
-    the sharp rest. Neither share rises with the PSNR that the client's own is expected to have.
+    the sharp rest.
 
-    Seven mean squares a cell (of the aligned reference's difference: its part that the client's picture does not
-    explain, its means over 7, 15 and 31 pixels, its sharp part; of either picture: the sharp part) go through two 3x3
-    convolutions of 16 channels and one 1x1, which says the PSNR of the restored picture, within 15 dB of 33, and how
-    much a decibel of difference counts, a half to two.
+    The expected PSNR and seven mean squares a cell (of the aligned reference's difference: its part that the client's
+    picture does not explain, its means over 7, 15 and 31 pixels, its sharp part; of either picture: the sharp part) go
+    through two 3x3 convolutions of 16 channels and one 1x1, which says the PSNR of the restored picture, within 15 dB
+    of 33, and how much a decibel of difference counts, a half to two.
     """
 
     def __init__(self) -> None:
@@ -76,7 +80,9 @@ class ErrorGate(nn.Module):
         height, width = aligned.shape[1], aligned.shape[2]
         spare = (0, -width % CELL_PX, 0, -height % CELL_PX)
         a, d = (functional.pad(image.permute(0, 3, 1, 2), spare, mode="replicate") for image in (aligned, distorted))
-        features = functional.leaky_relu(self.first(_measures(a, d)), 0.1)
+        measures = _measures(a, d)
+        expected = ((expected_db - MIDDLE_DB) / SPREAD_DB).expand(-1, 1, *measures.shape[2:])
+        features = functional.leaky_relu(self.first(torch.cat([measures, expected], dim=1)), 0.1)
         features = functional.leaky_relu(self.second(features), 0.1)
         said = self.said(features)
         better_db = START_DB + RANGE_DB * torch.tanh(said[:, :2]) - expected_db

@@ -123,15 +123,6 @@ def learnt_gate():
     return network
 
 
-def test_whatever_a_gate_has_learnt_its_share_falls_with_the_expected_psnr_everywhere():
-    torch = pytest.importorskip("torch")
-    aligned, distorted = torch.rand(2, 1, 40, 56, 3, generator=torch.Generator().manual_seed(2))
-    with torch.no_grad():
-        shares = torch.cat([learnt_gate().gate.shares(aligned, distorted, plane(db)) for db in np.linspace(24, 48, 9)])
-    assert (shares[1:] < shares[:-1]).all()
-    assert shares.std(dim=(1, 2, 3)).min() > 1e-4, "the pictures have a say, too"
-
-
 def test_at_the_top_of_the_ladder_training_starts_as_good_as_the_identity():
     """48 dB against a reference whose colours are 40 dB off: what is shown loses less than 0.1 dB."""
     torch = pytest.importorskip("torch")
