@@ -63,6 +63,11 @@ coding.
 OVERLOAD = 1.5
 """Largest time to make a reference, in intervals between references; beyond it references become rare."""
 
+FEW = 2
+"""Largest number of passed frames that are planned by themselves in a bundle with motion: single attributes may change
+in every frame.
+"""
+
 RESERVED_SPLATS = 1 << 20
 """Largest number of splats that appear within the reserve: the client holds them decoded, up to 240 bytes each."""
 
@@ -545,28 +550,34 @@ class Streamer:
     def _passed_over(self, plan: FramePlan, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
         """Tiles and ends of the frames before the one planned ahead that no earlier plan served.
 
-        Only in bundles that send splats anew for every frame; otherwise motion that comes with later frames will do.
+        Where they are many, as at the beginning, only in bundles that send splats anew for every frame: otherwise
+        motion that comes with later frames will do.
         """
-        if self._library.manifest.motion is not None:
+        if self._library.manifest.motion is not None and len(plan.before) > FEW:
             return []
         out: list[ev.Outgoing] = []
         for ahead in plan.before:
             ended = -1 if self._tiles.ended is None else self._tiles.ended
             if ended < ahead.frame < plan.ahead.frame and self._visibility.tells_of(ahead.frame):
                 step = replace(record, ahead=ahead, tile_bytes=0)
-                out += self._upgrades(self._visibility.tiles(ahead.frame), step, now_us)
+                out += self._upgrades(self._visibility.tiles(ahead.frame), step, now_us, passing=True)
                 record.tile_bytes += step.tile_bytes
         return out
 
-    def _upgrades(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
-        """The tiles chosen by the rate policy for a frame, and the end of the frame."""
+    def _upgrades(
+        self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int, *, passing: bool = False
+    ) -> list[ev.Outgoing]:
+        """The tiles chosen by the rate policy for a frame, and the end of the frame; ``passing``: it is planned beside
+        the later one that is planned at that time.
+        """
         camera = Camera(self._hello.intrinsics, record.predicted, self._hello.near)
         ahead = record.ahead
         if self._schedule.timeline.playing:
             self._arrivals.expect(ahead.frame, ahead.display_us)
-        visible += self._passed_by(record, visible)
+        if not passing:
+            visible += self._passed_by(record, visible)
         visible = self._visibility.with_ghosts(visible, ahead.frame, camera, self._tiles.inventory, self._tiles.age)
-        decision = self._decide(visible, record, now_us)
+        decision = self._decide(visible, record, now_us, passing=passing)
         deadline_us = self._viewer.clock.to_server(ahead.display_us) + int(self._settings.tile_deadline_ms * 1000)
         out = self._tiles.upgrades(ahead.frame, decision.upgrades, deadline_us)
         frames = [each.message.frame for each in out if isinstance(each.message, FrameEnd)]
@@ -574,11 +585,11 @@ class Streamer:
         return self._counted(out, now_us)
 
     def _reserve_is_full(self, record: FrameRecord) -> bool:
-        """Whether the frame after the one whose tiles were chosen is not to be reached yet: because of what the client
-        would hold, or because it is in another group than the displayed one, of which nothing was seen.
+        """Whether what a larger reserve would reach next is not to be reached yet: because of what the client would
+        hold, or because it is in another group of frames than the displayed one, of which nothing was seen.
         """
         schedule, gof_of = self._schedule, self._library.manifest.gof_of
-        after = schedule.media_frame(schedule.ahead(record.tick, schedule.reserve.frames + 1))
+        after = schedule.media_frame(schedule.ahead(record.tick, schedule.reserve.frames + 2))
         if after is None or after <= record.frame:  # the clip ends, or begins again
             return False
         if gof_of(after) != gof_of(record.frame):
@@ -617,7 +628,7 @@ class Streamer:
         self._viewer.expect(record)
         return record
 
-    def _decide(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> Decision:
+    def _decide(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int, *, passing: bool) -> Decision:
         record.estimate_bps = self._link.estimate_bps(now_us)
         frame, display_us = record.ahead.frame, record.ahead.display_us
         to_display_us = self._viewer.clock.to_server(display_us) - now_us
@@ -649,9 +660,9 @@ class Streamer:
         decision = self._policy.decide(observation)
         coming_bytes = self._budget.outstanding_bytes + lacking_bytes(observation)
         self._worth.observe(coming_bytes, record.estimate_bps, self._schedule.timeline.period_us)
-        if self._reserve_is_full(record):
+        if not passing and self._reserve_is_full(record):
             self._schedule.reserve.hold()
-        else:
+        elif not passing:
             self._schedule.reserve.planned(supply(observation, decision), period_us=period_us)
         record.tile_bytes += decision.bytes
         self._budget.close(earned_bytes - decision.bytes, now_us)

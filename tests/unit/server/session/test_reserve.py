@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cags_common.bundle.manifest import MotionSteps
 from cags_common.geometry import Pose
+from cags_common.splats import Ids
 from cags_protocol import events as ev
 from cags_protocol.wire.messages import FrameEnd, ReferenceFrame, TileLayers
 from cags_server.ratecontrol.outlook import Supply
 from cags_server.session import streamer
 from cags_server.session.reserve import Reserve
-from support.server_scene import BIRTH, SETTINGS, hello
+from support.server_scene import BIRTH, SETTINGS, FakeReader, hello, library
 from support.streamer_rig import Rig, of
 
 LEAST = 2
@@ -114,7 +117,7 @@ def test_what_comes_into_view_is_sent_for_frames_that_were_planned_already() -> 
 
 def test_it_is_bounded_by_the_splats_that_a_client_would_hold(monkeypatch: pytest.MonkeyPatch) -> None:
     """One splat of the wall changes in every frame."""
-    monkeypatch.setattr(streamer, "RESERVED_SPLATS", 7)
+    monkeypatch.setattr(streamer, "RESERVED_SPLATS", 8)
     rig = Rig(RESERVED, frames=60, gof=60)
     rig.play()
     leads = []
@@ -122,3 +125,25 @@ def test_it_is_bounded_by_the_splats_that_a_client_would_hold(monkeypatch: pytes
         rig.step()
         leads.append(rig.streamer.stats.records[-1].ahead.frame - frame)
     assert max(leads) == 7
+
+
+def test_every_frame_is_planned_while_it_grows() -> None:
+    """Of a frame that was passed over, attributes that the next one changes again were never sent."""
+
+    class OneSplat(FakeReader):
+        """The same splat changes in every frame."""
+
+        def tile_ids(self, frame: int, tile: int) -> Ids:
+            return super().tile_ids(frame, tile) if frame == 0 else np.zeros(1, np.int32)
+
+    reader = OneSplat(frames=60, gof=60)
+    reader.manifest = replace(reader.manifest, motion=MotionSteps((0.1,), (0.1,)))
+    rig = Rig(RESERVED, served=library(reader))
+    rig.play()
+    sent = list(rig.opening)
+    for _ in range(40):
+        sent += rig.step()
+    ahead = rig.streamer.stats.records[-1].ahead.frame
+    assert ahead > 39 + LEAST
+    brought = {tile.frame for tile in of(TileLayers, sent)}
+    assert brought >= set(range(LEAST, ahead + 1))
