@@ -166,7 +166,7 @@ LABELS: dict[str, dict[str, dict[str, object]]] = {
     "lts-f-even": {"encode": {"codec": "density"}, "server": {"abr": "even"}, "client": {"restore": "none"}},
     "v3-a": {"encode": {"codec": "video"}},
     "v3-a-predicted": {"encode": {"codec": "video"}},
-    "sr-align-ref": {"server": {"references": "picture"}, "client": {"restore": "reference"}},
+    "sr-align-ref": {"server": {"references": "picture"}, "client": {"restore": "sr-align-ref"}},
     "cr-no-ref": {"client": {"restore": "none"}},
     "reference-only": {"server": {"abr": "none", "lead_frames": 2, "reference_full_size": True}},
     "reference-only-small": {"server": {"abr": "none", "lead_frames": 2, "reference_full_size": False}},

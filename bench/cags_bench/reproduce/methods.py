@@ -38,10 +38,9 @@ OURS_AND_RIVALS: dict[str, Method] = {
     ),
     "sr-align-ref": Method(
         "SR align ref.",
-        "the aligned reference alone; bilinear upsampling stands in for the trained super-resolution network: ours, "
-        "trained briefly, has not converged, and a half-trained rival would flatter",
+        "the aligned reference alone, super-resolved by the paper's network, which is trained here until it converges",
         server={"references": "picture"},
-        client={"restore": "reference"},
+        client={"restore": "sr-align-ref"},
     ),
     "cr-no-ref": Method(
         "CR w/o ref.",

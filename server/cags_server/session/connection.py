@@ -138,10 +138,10 @@ class Connection:
         if not self._fetches or self.streamer is None:
             return None
         streamer = self.streamer
-        wanted = (streamer.first_frame,) if self._unopened else (streamer.next_frame, streamer.frame_ahead)
+        wanted = (streamer.first_frame,) if self._unopened else streamer.next_frames
         self._fetched.intersection_update(wanted)
         for frame in wanted:
-            if frame is not None and frame not in self._fetched:
+            if frame not in self._fetched:
                 if not self._library.at_hand(frame):
                     return frame
                 self._fetched.add(frame)

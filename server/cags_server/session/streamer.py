@@ -148,12 +148,17 @@ class Streamer:
         return self._schedule.timeline.frame
 
     @property
-    def next_frame(self) -> int | None:
-        """The next media frame to plan; None for none."""
-        return self._schedule.next_frame
+    def next_frames(self) -> tuple[int, ...]:
+        """The media frames that the next plan looks at: its own, and those that it plans tiles for; none at the end."""
+        own, ahead = self._schedule.next_frame, self._frame_ahead
+        if own is None or ahead is None:
+            return ()
+        ended = ahead if self._tiles.ended is None else self._tiles.ended
+        passed = range(ended + 1, ahead) if ahead - ended - 1 <= FEW else ()
+        return (own, *passed, ahead)
 
     @property
-    def frame_ahead(self) -> int | None:
+    def _frame_ahead(self) -> int | None:
         """The next media frame to plan tiles for; None for none."""
         frame = self._schedule.next_frame
         return None if frame is None else self._ahead(self._schedule.serves, frame).frame
@@ -436,7 +441,7 @@ class Streamer:
 
     def _next_is_seen(self) -> bool:
         """Whether the last visibility is valid for the next tiles; it is not in another group of frames."""
-        ahead = self.frame_ahead
+        ahead = self._frame_ahead
         if ahead is None or self._tiles.ended is None or ahead < self._tiles.ended:
             return False
         return self._visibility.tells_of(ahead)

@@ -147,3 +147,17 @@ def test_every_frame_is_planned_while_it_grows() -> None:
     assert ahead > 39 + LEAST
     brought = {tile.frame for tile in of(TileLayers, sent)}
     assert brought >= set(range(LEAST, ahead + 1))
+
+
+def test_what_a_plan_looks_at_is_known_before() -> None:
+    """It is read from the store in time: the frames that are passed over, too."""
+    rig = Rig(RESERVED, frames=60, gof=60)
+    rig.play()
+    reached = 0
+    for _ in range(30):
+        known = rig.streamer.next_frames
+        rig.step()
+        record = rig.streamer.stats.records[-1]
+        passed = range(reached + 1, record.ahead.frame)
+        assert known == (record.frame, *passed, record.ahead.frame)
+        reached = record.ahead.frame
