@@ -30,22 +30,32 @@ CLASSES_DB = (24.0, 28.0, 32.0, 36.0, 40.0, 45.0)
 def even_chances(crops: Crops) -> F64:
     """Chance of each crop [N], so that every class of :data:`CLASSES_DB` that there is comes as often as the others.
 
-    Drawn evenly, most crops would be nearly perfect: a network does best to learn to leave them alone.
+    Drawn evenly, most crops would be nearly perfect: a network does best to learn to leave them alone. Within a class,
+    crops are classed by the aligned reference, and each class counts by the root of its size: a reference that is far
+    off in a few places (colours that change with the view) is rare, and costs a whole picture more than all the rest.
     """
-    classes = np.digitize(distorted_psnr(crops), CLASSES_DB)
-    sizes = np.bincount(classes)
-    chances: F64 = 1.0 / (sizes[classes] * np.count_nonzero(sizes))
+    own, aligned = (np.digitize(psnr_db, CLASSES_DB) for psnr_db in (distorted_psnr(crops), aligned_psnr(crops)))
+    both = own * (len(CLASSES_DB) + 1) + aligned
+    sizes = np.bincount(both)
+    weights = 1.0 / np.sqrt(sizes[both])
+    of_class = np.bincount(own, weights=weights)
+    chances: F64 = weights / (of_class[own] * np.count_nonzero(of_class))
     return chances
 
 
 def distorted_psnr(crops: Crops) -> F64:
     """PSNR of the distorted pictures [N] in dB over covered pixels, at most 60."""
-    return np.array([_psnr(crops, row) for row in range(len(crops))])
+    return np.array([_psnr(crops, crops.distorted[row], row) for row in range(len(crops))])
 
 
-def _psnr(crops: Crops, row: int) -> float:
+def aligned_psnr(crops: Crops) -> F64:
+    """The same of the aligned references [N]."""
+    return np.array([_psnr(crops, crops.aligned[row], row) for row in range(len(crops))])
+
+
+def _psnr(crops: Crops, picture: NDArray[np.uint8], row: int) -> float:
     covered = crops.covered[row] >= 128
-    off = (crops.distorted[row][covered].astype(np.float64) - crops.truth[row][covered]) / 255
+    off = (picture[covered].astype(np.float64) - crops.truth[row][covered]) / 255
     return -10 * float(np.log10(max(np.mean(off**2), 1e-6))) if covered.any() else 60.0
 
 
