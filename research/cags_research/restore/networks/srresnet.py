@@ -4,7 +4,7 @@
 batch norm) -> two more convolutions with LeakyReLU -> 3x3 convolution to RGB, plus the reference. At full resolution:
 54,051 weights, 103 GMAC at 1600x1200 (Ledig et al. 2017, made light; FINDINGS of this project).
 
-``srresnet`` may have a gate (:mod:`cags_research.restore.networks.gate`; 3,412 weights more), which says how much of
+``srresnet`` may have a gate (:mod:`cags_research.restore.networks.gate`; 3,556 weights more), which says how much of
 its answer is shown in place of the distorted picture, by the PSNR that this should have. The paper has none: its
 network is given two pictures and decides that itself. ``SrResNet(gated=False)`` is the paper's.
 
