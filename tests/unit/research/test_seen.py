@@ -26,7 +26,7 @@ def test_the_list_is_one() -> None:
         ("scene", "/data/monkey-frames/", True),
         ("scene", "my/plantation.splat", False),
         ("walk", "poses/room_user03.csv", True),
-        ("walk", "poses/room_user11.csv", False),
+        ("walk", "poses/room_user13.csv", False),
         ("trace", "plant.splat", False),
         ("trace", "lte.csv", False),
     ],

@@ -121,7 +121,7 @@ def test_page_and_data_hold_the_section(tmp_path):
 
 def test_rows_of_what_was_trained_on_are_marked():
     seen, unseen = "shared/plant.splat", "new/violin.ply"
-    plan = replace(PLAN, scenes=(seen, unseen), poses="walks/room_user11.csv", trace="links/lte.csv")
+    plan = replace(PLAN, scenes=(seen, unseen), poses="walks/room_user13.csv", trace="links/lte.csv")
     section = Section(
         "x", "X", "p", ("scene", "dB"), [[seen, 1.0], [f"{unseen}, default", 2.0], [f"paper-66, {seen}", 3.0]]
     )
