@@ -63,7 +63,7 @@ coding.
 OVERLOAD = 1.5
 """Largest time to make a reference, in intervals between references; beyond it references become rare."""
 
-FEW = 2
+FEW_PASSED = 2
 """Largest number of passed frames that are planned by themselves in a bundle with motion: single attributes may change
 in every frame.
 """
@@ -154,7 +154,7 @@ class Streamer:
         if own is None or ahead is None:
             return ()
         ended = ahead if self._tiles.ended is None else self._tiles.ended
-        passed = range(ended + 1, ahead) if ahead - ended - 1 <= FEW else ()
+        passed = range(ended + 1, ahead) if ahead - ended - 1 <= FEW_PASSED else ()
         return (own, *passed, ahead)
 
     @property
@@ -558,7 +558,7 @@ class Streamer:
         Where they are many, as at the beginning, only in bundles that send splats anew for every frame: otherwise
         motion that comes with later frames will do.
         """
-        if self._library.manifest.motion is not None and len(plan.before) > FEW:
+        if self._library.manifest.motion is not None and len(plan.before) > FEW_PASSED:
             return []
         out: list[ev.Outgoing] = []
         for ahead in plan.before:
@@ -580,7 +580,7 @@ class Streamer:
         if self._schedule.timeline.playing:
             self._arrivals.expect(ahead.frame, ahead.display_us)
         if not passing:
-            visible += self._passed_by(record, visible)
+            visible += self._come_into_view(record, visible)
         visible = self._visibility.with_ghosts(visible, ahead.frame, camera, self._tiles.inventory, self._tiles.age)
         decision = self._decide(visible, record, now_us, passing=passing)
         deadline_us = self._viewer.clock.to_server(ahead.display_us) + int(self._settings.tile_deadline_ms * 1000)
@@ -601,8 +601,8 @@ class Streamer:
             return True
         return self._library.tile_map(after).new_splats(record.frame, after) > RESERVED_SPLATS
 
-    def _passed_by(self, record: FrameRecord, visible: tuple[VisibleTile, ...]) -> tuple[VisibleTile, ...]:
-        """Tiles of a frame nearer than the reserve reaches, of which the client holds nothing: when their own frame was
+    def _come_into_view(self, record: FrameRecord, visible: tuple[VisibleTile, ...]) -> tuple[VisibleTile, ...]:
+        """Tiles of a nearer frame than the reserve has reached, of which the client holds nothing: when that frame was
         planned, the viewer did not see them.
         """
         every = 1 if self._library.manifest.motion is None else LOOK_BACK_EVERY
