@@ -29,7 +29,8 @@ class Outgoing:
     """A message that the server wants to send, by value.
 
     ``priority`` 0 goes first; within one priority messages go in the order they were queued. At ``deadline_us`` (server
-    clock) what is not sent yet is stale and dropped. A newer message of the same ``key`` replaces one that waits.
+    clock) what is not sent yet is stale and dropped. A newer message of the same ``key`` replaces one that waits. An
+    ``urgent`` message goes before references.
     """
 
     message: Message
@@ -37,6 +38,7 @@ class Outgoing:
     priority: int = 0
     deadline_us: int | None = None
     key: Hashable = None
+    urgent: bool = False
 
 
 class Stance(enum.Enum):

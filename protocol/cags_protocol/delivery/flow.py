@@ -36,7 +36,7 @@ MIN_WINDOW_PACKETS = 2
 """Least credit: one packet on the wire, one to follow it."""
 
 RESERVE_PACKETS = 2
-"""Credit that only reference pictures may use, so that they never wait for tiles to be acknowledged."""
+"""Credit for reference pictures and what is as urgent alone, so that they never wait for tiles to be acknowledged."""
 
 OWN_QUEUES = 3.0
 """Connections of this kind hold at most so many times the queue that the credit window allows; probing adds to it."""
@@ -141,9 +141,9 @@ class FlowControl:
     def _bytes_in(self, time_us: float) -> int:
         return max(self._min_window_bytes, int(self.rate_bps * time_us / 8e6))
 
-    def has_credit(self, *, reference: bool = False) -> bool:
-        """Whether another packet may be sent now; a packet of a ``reference`` may use the reserve."""
-        reserve_bytes = RESERVE_PACKETS * self.packet_bytes if reference else 0
+    def has_credit(self, *, reserve: bool = False) -> bool:
+        """Whether another packet may be sent now; ``reserve``: it may use the reserve."""
+        reserve_bytes = RESERVE_PACKETS * self.packet_bytes if reserve else 0
         return self.in_flight_bytes + self.packet_bytes <= self.window_bytes + reserve_bytes
 
     @property

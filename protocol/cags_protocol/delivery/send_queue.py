@@ -1,8 +1,8 @@
 """The server's queue: bounded, ordered by value, cut into fragments, stale data dropped.
 
-Order: reference pictures and marks as they come, then everything else by priority, first come first served within one.
+Order: marks, urgent messages, reference pictures, then everything else by priority; first come first served in each.
 The most valuable fragment goes next, so a reference picture never waits behind tiles, not even behind the rest of a
-tile half sent; and from the moment that a mark is queued nothing but references is sent to its end before it.
+tile half sent; and from the moment that a mark is queued nothing is sent to its end before it.
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ SLACK_ENTRIES = 64
 """Entries that have left and may stay in the heaps of a queue, besides as many as there are messages in it."""
 
 Rank = tuple[int, int, int]
+"""Class, priority and number of a message."""
 
-REFERENCES, OTHERS = range(2)
-"""Classes of messages, the more urgent first; marks are of the first."""
+MARKS, URGENT, REFERENCES, OTHERS = range(4)
+"""Classes of messages, the more urgent first."""
 
 
 @dataclass(eq=False)
@@ -60,9 +61,9 @@ class Entry:
         return self.sent == self.size
 
     @property
-    def is_reference(self) -> bool:
-        """Whether this is a reference picture, or a mark for one."""
-        return self.rank[0] == REFERENCES
+    def hurries(self) -> bool:
+        """Whether this may use the reserve of credit: a reference picture, or what goes before them."""
+        return self.rank[0] < OTHERS
 
     def chunk(self, most_bytes: int) -> bytes | memoryview:
         """The next fragment, of at most ``most_bytes``."""
@@ -103,8 +104,7 @@ class SendQueue:
         Raises :class:`ProtocolError` for a message that must not travel.
         """
         ident, self._next_ident = self._next_ident, self._next_ident + 1
-        urgent = isinstance(outgoing.message, ReferenceFrame | Mark)
-        rank = (REFERENCES if urgent else OTHERS, outgoing.priority, ident)
+        rank = (_class_of(outgoing), outgoing.priority, ident)
         head, body = encode_parts(outgoing.message, outgoing.payload)
         entry = Entry(ident, outgoing, rank, head, memoryview(body))
         self._replace(entry)
@@ -146,7 +146,7 @@ class SendQueue:
         if not self._heap:
             return None
         best = self._entries[self._heap[0][1]]
-        if best.is_reference or best.started or self._started < limits.MAX_PARTIAL_MESSAGES // 2:
+        if best.hurries or best.started or self._started < limits.MAX_PARTIAL_MESSAGES // 2:
             return best
         return min((e for e in self._entries.values() if e.started), key=lambda e: e.rank)
 
@@ -201,3 +201,11 @@ class SendQueue:
         if len(self._deadlines) > bound:
             self._deadlines = [item for item in self._deadlines if item[1] in self._entries]
             heapq.heapify(self._deadlines)
+
+
+def _class_of(outgoing: Outgoing) -> int:
+    if isinstance(outgoing.message, Mark):
+        return MARKS
+    if outgoing.urgent:
+        return URGENT
+    return REFERENCES if isinstance(outgoing.message, ReferenceFrame) else OTHERS

@@ -160,9 +160,9 @@ class ServerSession(Session[ev.ServerEvent]):
             if self._flow.has_credit():
                 self._flow.on_idle()
             return None
-        if not self._flow.has_credit(reference=entry.is_reference):
+        if not self._flow.has_credit(reserve=entry.hurries):
             return None
-        if not entry.is_reference and now_us < self._flow.paced_until_us:
+        if not entry.hurries and now_us < self._flow.paced_until_us:
             self._next_packet_us = max(self._flow.paced_until_us, now_us + PACING_STEP_US)
             return None
         packet = self._queue.take_fragment(entry, self._flow.next_seq, self._flow.packet_bytes)

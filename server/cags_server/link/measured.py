@@ -44,7 +44,11 @@ QUIET_US, DOUBLES_US, MOST_GROWN = 600_000, 250_000, 0.4
 much faster than the estimate, or idle.
 """
 
-MIN_WINDOW_US = 120_000
+MIN_WINDOW_US, MAX_WINDOW_US = 120_000, 200_000
+"""Bounds of the time over which samples are averaged, otherwise two round trips. After a fall what is in flight makes
+round trips so long that samples from before it would count for seconds.
+"""
+
 QUEUE_US = 15_000
 """A round trip longer than the shortest by this much has a queue in it, unless round trips jump about by as much.
 
@@ -90,7 +94,7 @@ class MeasuredLink(LinkState):
             return
         self._startup = self._startup and not shows_link
         self._samples.append((sample.now_us, sample.newly_delivered_bytes, rate))
-        window_us = max(MIN_WINDOW_US, 2 * sample.rtt_us)
+        window_us = min(max(MIN_WINDOW_US, 2 * sample.rtt_us), MAX_WINDOW_US)
         while self._samples[0][0] < sample.now_us - window_us:
             self._samples.popleft()
         total = sum(size for _, size, _ in self._samples)

@@ -24,10 +24,11 @@ class ReferenceBudget:
         self._link, self._share = link, share
         self._bytes: float | None = None
         self._then_us = 0
+        self._waiting: dict[int, int] = {}  # references queued and not sent: frame -> bytes
 
     def bears(self, now_us: int, spare_us: float) -> bool:
-        """Whether another reference may go: it is paid for, and what is in flight, which no priority overtakes, leaves
-        it room to arrive within ``spare_us``, after which it is of no use.
+        """Whether another reference may go: it is paid for, and what goes before it, which is what is in flight and
+        the references that wait, leaves it room to arrive within ``spare_us``, after which it is of no use.
         """
         rate = self._link.estimate_bps(now_us) * self._share / 8
         if self._bytes is None:
@@ -35,9 +36,15 @@ class ReferenceBudget:
         income = rate * max(now_us - self._then_us, 0) / 1e6
         self._bytes, self._then_us = min(self._bytes + income, rate * BURST_S), max(now_us, self._then_us)
         paid = self._bytes > 0 or self._share >= 1
-        return paid and self._link.through_us(self._link.newest.in_flight_bytes, now_us) < spare_us
+        before = self._link.newest.in_flight_bytes + sum(self._waiting.values())
+        return paid and self._link.through_us(before, now_us) < spare_us
 
-    def spent(self, size_bytes: int) -> None:
-        """A reference of this size was queued."""
+    def spent(self, frame: int, size_bytes: int) -> None:
+        """The reference of ``frame``, of this size, was queued."""
+        self._waiting[frame] = size_bytes
         if self._bytes is not None:
             self._bytes -= size_bytes
+
+    def left(self, frame: int) -> None:
+        """The reference of ``frame`` has left the queue: it was sent or dropped."""
+        self._waiting.pop(frame, None)

@@ -32,7 +32,6 @@ from cags_server.link.reference_budget import REFERENCE_OVERHEAD_BYTES, Referenc
 from cags_server.ratecontrol import Decision, Observation, create_rate_policy
 from cags_server.ratecontrol.base import mean_level
 from cags_server.ratecontrol.outlook import lacking_bytes, supply
-from cags_server.ratecontrol.priorities import BLOB_PRIORITY
 from cags_server.records import Ahead, FrameRecord, ReferenceCosts, StreamStats
 from cags_server.reference.coder import ReferenceCoder
 from cags_server.reference.job import FrameJob, FramePlan, FrameRender
@@ -123,7 +122,7 @@ class Streamer:
         self._went_ahead: FrameRecord | None = None  # what was sent for the pending render
         self._marks: list[ev.Outgoing] = []
         self._ends_due_us: dict[int, int] = {}  # media frame whose end is queued: its display, client clock
-        self._late_ends: list[ev.Outgoing] = []  # taken back
+        self._late_ends: list[tuple[ev.Outgoing, int]] = []  # taken back, and their display
         self._joined_us = self._marked_us = 0
         self._greeting_due_us: int | None = None  # of the first picture, before the viewer starts playback
         self._damaged = False  # a sent message did not arrive completely
@@ -208,8 +207,11 @@ class Streamer:
                 self.stats.bytes_dropped += sent_bytes
                 self._on_settled(outgoing, delivered=False)
                 self._damaged |= reason == "lost" and isinstance(outgoing.message, TileLayers | FrameEnd)
-                if reason == "cancelled" and self._ends_late(outgoing, now_us):
-                    self._late_ends.append(outgoing)
+                self._left(outgoing)
+                if isinstance(outgoing.message, FrameEnd):
+                    due_us = self._ends_due_us.pop(outgoing.message.frame, None)
+                    if reason == "cancelled" and due_us is not None and self._presses(due_us, now_us):
+                        self._late_ends.append((outgoing, due_us))
             case ev.Evicted(tiles):
                 for held in tiles:
                     self._tiles.evicted(held)
@@ -218,6 +220,7 @@ class Streamer:
 
     def _on_sent(self, outgoing: ev.Outgoing, now_us: int) -> None:
         """A message was written completely."""
+        self._left(outgoing)
         if isinstance(outgoing.message, FrameEnd):
             self._ends_due_us.pop(outgoing.message.frame, None)
         if isinstance(outgoing.message, TileLayers | FrameEnd):
@@ -225,6 +228,11 @@ class Streamer:
                 self._mirror.sent(outgoing.message, outgoing.payload)
             if now_us - self._marked_us >= MARK_EVERY_US and self._coder.kind is not None:
                 self._mark(now_us)
+
+    def _left(self, outgoing: ev.Outgoing) -> None:
+        """A message has left the queue."""
+        if isinstance(outgoing.message, ReferenceFrame):
+            self._reference_budget.left(outgoing.message.frame)
 
     def _on_control(self, control: Control, now_us: int) -> None:
         self._schedule.controlled(control, now_us)
@@ -418,7 +426,7 @@ class Streamer:
         seen = self._next_is_seen()
         spare_us = self._reference_deadline_us(self._schedule.timeline.display_us(self._schedule.next_tick)) - now_us
         affordable = self._reference_budget.bears(now_us, spare_us)
-        room = affordable and now_us >= self._rests_until_us
+        room = affordable and now_us >= self._rests_until_us and not self._stands_still(now_us)
         if seen and not self._schedule.rendering:
             self._no_place = room and not self._may_render(now_us)
             if not room or self._no_place:
@@ -502,7 +510,7 @@ class Streamer:
             self._video.broken()
             return []
         if plan.greets:
-            self._reference_budget.spent(len(render.coded.access_unit) + REFERENCE_OVERHEAD_BYTES)
+            self._reference_budget.spent(plan.frame, len(render.coded.access_unit) + REFERENCE_OVERHEAD_BYTES)
             return self._counted([self._video.message(render, now_us + GREETING_DEADLINE_US)], now_us)
         self._visibility.rendered(plan.ahead.frame, render.contribution)
         overtaken = self._schedule.overtaken(plan.tick)
@@ -541,7 +549,7 @@ class Streamer:
         late = now_us + travels_us >= self._viewer.clock.to_server(render.plan.display_us)
         rare = now_us - render.plan.planned_us > OVERLOAD * self._schedule.reference_period_us
         self._coder.lateness.observe(late=late or rare)
-        self._reference_budget.spent(record.reference_bytes + REFERENCE_OVERHEAD_BYTES)
+        self._reference_budget.spent(record.frame, record.reference_bytes + REFERENCE_OVERHEAD_BYTES)
         return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
 
     def _moving_on(self, render: FrameRender) -> list[ev.Outgoing]:
@@ -677,8 +685,8 @@ class Streamer:
     # ------------------------------------------------------------------------------------------------------ messages
 
     def outdated(self, outgoing: ev.Outgoing, now_us: int) -> bool:
-        """Whether a waiting message is for a frame that has been displayed. Another tile may be worth more now; for
-        frame ends see :meth:`take_late_ends`.
+        """Whether a waiting tile is for a frame that has been displayed, or the end of a frame would be late: another
+        tile may be worth more now, and for ends see :meth:`take_late_ends`.
         """
         message, deadline_us = outgoing.message, outgoing.deadline_us
         if isinstance(message, FrameEnd):
@@ -688,23 +696,44 @@ class Streamer:
         return now_us >= deadline_us - int(self._settings.tile_deadline_ms * 1000)
 
     def _ends_late(self, outgoing: ev.Outgoing, now_us: int) -> bool:
-        """Whether a message is the end of a frame that has already been displayed."""
+        """Whether a message is the end of a frame that is displayed before it arrives."""
         if not isinstance(outgoing.message, FrameEnd):
             return False
         display_us = self._ends_due_us.get(outgoing.message.frame)
-        return display_us is not None and now_us >= self._viewer.clock.to_server(display_us)
+        return display_us is not None and self._presses(display_us, now_us)
+
+    def _presses(self, display_us: int, now_us: int) -> bool:
+        """Whether an end comes too late for its display if it waits for another planned frame."""
+        newest = self._link.newest
+        travels_us = newest.shortest_rtt_us / 2 + self._link.through_us(newest.in_flight_bytes, now_us)
+        travels_us += self._schedule.planned_period_us + MARGIN_US
+        return self._viewer.clock.to_server(display_us) - now_us < travels_us
+
+    def _is_past(self, display_us: int, now_us: int) -> bool:
+        return now_us >= self._viewer.clock.to_server(display_us)
+
+    def _stands_still(self, now_us: int) -> bool:
+        """Whether the end of a displayed frame still waits: the client shows an older one, for which references of
+        later frames are of no use.
+        """
+        return any(self._is_past(display_us, now_us) for display_us in self._ends_due_us.values())
 
     def take_late_ends(self, now_us: int) -> list[ev.Outgoing]:
-        """Late frame ends, to queue again ahead of all tiles.
+        """Frame ends that would be late where they wait, to queue again ahead of all else.
 
-        The newest one covers all of them; the others are needed only if they name removed splats. Behind tiles, frame
-        ends would fall back ever further on a slow link, and the client shows nothing beyond them.
+        The newest one covers all of them; the others are needed only if they name removed splats. Behind tiles and
+        references, frame ends would fall back ever further on a slow link, and the client shows nothing beyond them.
         """
         late, self._late_ends = self._late_ends, []
         if not late:
             return []
-        kept = [each for each in late if each.payload or each is late[-1]]
-        return self._counted([replace(each, priority=BLOB_PRIORITY) for each in kept], now_us)
+        out = []
+        for end, display_us in late:
+            assert isinstance(end.message, FrameEnd)
+            if end.payload or end is late[-1][0]:
+                self._ends_due_us[end.message.frame] = display_us
+                out.append(replace(end, urgent=True))
+        return self._counted(out, now_us)
 
     def _display_us(self, deadline_us: int) -> int:
         """Display time of the frame of a reference that is useful until ``deadline_us``; both by the server's clock."""

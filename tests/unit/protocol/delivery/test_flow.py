@@ -93,9 +93,9 @@ def test_credit_is_used_up_and_comes_back(rate_bps):
     send(control, 0, size)
     assert not control.has_credit()
     for _ in range(2):
-        assert control.has_credit(reference=True)
+        assert control.has_credit(reserve=True)
         send(control, 0, size)
-    assert not control.has_credit(reference=True)
+    assert not control.has_credit(reserve=True)
     ack(control, [SeqRange(1, 3)], 1000)
     assert control.has_credit()
 

@@ -1,4 +1,5 @@
 import tracemalloc
+from dataclasses import replace
 
 import pytest
 
@@ -89,12 +90,13 @@ def test_order_is_references_then_priority_then_first_come():
     assert [order.index(outgoing) for outgoing, _, _ in q.send_all()] == [2, 1, 3, 0, 4]
 
 
-def test_marks_and_references_go_as_they_come_before_everything_else():
+def test_marks_go_before_what_is_urgent_and_that_before_references():
     q = Queue()
-    order = [tile(0, 0, 10), reference(0, 1, 10), Outgoing(Mark(1)), reference(1, 2, 10), Outgoing(Mark(2))]
+    urgent = replace(tile(0, 3, 10, priority=5), urgent=True)
+    order = [tile(0, 0, 10), reference(0, 1, 10), Outgoing(Mark(1)), urgent, reference(1, 2, 10), Outgoing(Mark(2))]
     for outgoing in order:
         q.queue.put(outgoing)
-    assert [order.index(outgoing) for outgoing, _, _ in q.send_all()] == [1, 2, 3, 4, 0]
+    assert [order.index(outgoing) for outgoing, _, _ in q.send_all()] == [2, 5, 3, 1, 4, 0]
 
 
 def test_no_tile_is_sent_to_its_end_between_a_mark_and_its_sending():

@@ -48,6 +48,15 @@ def test_a_fall_is_followed_within_two_round_trips() -> None:
     assert mbps(link) < 2.5
 
 
+def test_a_fall_is_followed_soon_however_long_what_is_in_flight_makes_round_trips() -> None:
+    link = ToldLink()
+    idle(link, 1, 0, 5)
+    busy(link, 20, 5, 1000)
+    for t in range(1005, 1225, 20):  # one second of the slow link is in flight
+        link.ack(t * 1000, 1250, RTT_US + 1_000_000, False, rate=5e5)
+    assert mbps(link) < 1
+
+
 def test_an_application_that_sends_little_does_not_pull_the_estimate_down() -> None:
     link = ToldLink()
     idle(link, 1, 0, 5)

@@ -23,7 +23,8 @@ def test_what_is_spent_stays_within_the_share(sizes: list[int], link_bps: float,
     budget, spent, largest = ReferenceBudget(KnownLink(link_bps), share), 0, 0
     for number, size in enumerate(sizes):
         if budget.bears(number * step_us, SPARE_US):
-            budget.spent(size)
+            budget.spent(number, size)
+            budget.left(number)
             spent, largest = spent + size, max(largest, size)
     seconds = (len(sizes) - 1) * step_us / 1e6
     assert spent <= link_bps * share / 8 * (seconds + BURST_S) + largest + 1
@@ -32,11 +33,12 @@ def test_what_is_spent_stays_within_the_share(sizes: list[int], link_bps: float,
 def test_a_debt_is_worked_off_and_savings_are_bounded() -> None:
     budget = ReferenceBudget(KnownLink(800_000), 0.5)
     assert budget.bears(0, SPARE_US)  # 50,000 bytes a second
-    budget.spent(37_500)  # a quarter of a second was saved: 12,500 bytes
+    budget.spent(0, 37_500)  # a quarter of a second was saved: 12,500 bytes
+    budget.left(0)
     assert not budget.bears(499_000, SPARE_US)
     assert budget.bears(501_000, SPARE_US)
     assert budget.bears(60_000_000, SPARE_US)
-    budget.spent(12_501)
+    budget.spent(1, 12_501)
     assert not budget.bears(60_000_000, SPARE_US), "no more than the burst was saved in a minute"
 
 
@@ -44,7 +46,8 @@ def test_all_of_the_link_is_no_bound() -> None:
     budget = ReferenceBudget(KnownLink(1e5), 1.0)
     for number in range(100):
         assert budget.bears(number, SPARE_US)
-        budget.spent(10_000)
+        budget.spent(number, 10_000)
+        budget.left(number)
 
 
 def test_none_goes_that_what_is_in_flight_would_make_late() -> None:
@@ -56,6 +59,20 @@ def test_none_goes_that_what_is_in_flight_would_make_late() -> None:
     assert not budget.bears(1, SPARE_US)
     link.rate_bps = 9e6
     assert budget.bears(2, SPARE_US)
+
+
+def test_none_goes_that_those_that_wait_would_make_late() -> None:
+    link = KnownLink(8e6)
+    budget = ReferenceBudget(link, 1.0)
+    assert budget.bears(0, SPARE_US)
+    budget.spent(1, SPARE_US // 2)
+    budget.spent(2, SPARE_US // 2)
+    assert not budget.bears(0, SPARE_US)
+    budget.left(1)
+    budget.left(1)  # sent, and lost afterwards
+    assert budget.bears(0, SPARE_US)
+    link.told(in_flight_bytes=SPARE_US // 2)
+    assert not budget.bears(0, SPARE_US)
 
 
 def played(link_bps: float, most: float) -> list[ev.Outgoing]:

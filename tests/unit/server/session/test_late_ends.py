@@ -1,10 +1,10 @@
-"""Ends of frames that wait on a slow link until their frames have been displayed."""
+"""Ends of frames that wait on a slow link until it is nearly too late for their display."""
 
 from __future__ import annotations
 
 from cags_protocol import events as ev
 from cags_protocol.wire.messages import FrameEnd, TileLayers
-from cags_server.ratecontrol.priorities import BASE_PRIORITY, BLOB_PRIORITY
+from cags_server.ratecontrol.priorities import BASE_PRIORITY
 from support.streamer_rig import OFFSET_US, PERIOD_US, Rig, of
 
 START_US = 300_000
@@ -36,15 +36,32 @@ def test_the_newest_late_end_stands_for_those_that_name_no_splats_and_they_go_fi
     ends = planned(rig, 3)
     assert [(each.message.frame, bool(each.payload)) for each in ends] == [(1, False), (2, True), (3, False)]
     assert {each.priority for each in ends} == {BASE_PRIORITY}
-    assert taken_back(rig, ends, displayed(0)) == []
+    assert taken_back(rig, ends, displayed(-1)) == [], "two periods before its display there is time"
     again = taken_back(rig, ends, displayed(3) + 1)
     assert [(end.frame, each.payload) for end, each in zip(of(FrameEnd, again), again, strict=True)] == [
         (2, ends[1].payload),
         (3, b""),
     ]
-    assert {each.priority for each in again} == {BLOB_PRIORITY}
+    assert all(each.urgent for each in again) and not any(each.urgent for each in ends)
     rig.deliver(again)
     assert not rig.streamer.outdated(again[0], displayed(3) + 1), "it is gone"
+
+
+def test_a_late_end_that_went_late_again_is_taken_back_again() -> None:
+    rig = Rig()
+    rig.play()
+    ends = planned(rig, 2)
+    again = taken_back(rig, ends, displayed(2) + 1)
+    assert [end.frame for end in of(FrameEnd, taken_back(rig, again, displayed(3)))] == [2]
+
+
+def test_an_end_that_was_dropped_for_good_is_forgotten() -> None:
+    rig = Rig()
+    rig.play()
+    ends = planned(rig, 2)
+    rig.drop(ends, "overflow")
+    assert not any(rig.streamer.outdated(end, displayed(9)) for end in ends)
+    assert rig.streamer.take_late_ends(displayed(9)) == []
 
 
 def test_ends_before_a_jump_do_not_come_back_after_it() -> None:
