@@ -49,6 +49,9 @@ UNSEEN = 10 ** (-45.0 / 10)
 FINEST = 1 / 4
 """Smallest step of positions, in steps of the configuration. Each halving takes 3 bits a splat of the base."""
 
+LAGS = (1, 4, 16)
+"""Frames apart, of pairs of frames that are compared to see what standing still costs."""
+
 _OPTIONS = RenderOptions(depth=DepthKind.NONE)
 
 
@@ -125,6 +128,23 @@ def standing(splats: Splats, later: Splats, codec: SvqCodec) -> NDArray[np.bool_
     away, _ = cKDTree(later.means).query(splats.means)
     still: NDArray[np.bool_] = away < codec.position_step / 4 * radii_of(splats)
     return still
+
+
+def standing_still(
+    frame: Callable[[int], Splats], frames: int, cameras: Sequence[Camera], rasteriser: Rasteriser
+) -> tuple[tuple[int, float], ...]:
+    """(frames, PSNR): what is left of a picture's quality if nothing moves for so many frames of a clip of ``frames``,
+    whose splats ``frame(number)`` returns; by rising frames. Pairs of frames begin or end at the first frame and in the
+    middle of the clip. Empty for a single frame.
+    """
+    squared: dict[int, list[float]] = {}
+    for at in {0, frames // 2} if frames > 1 else ():
+        views = _Views(frame(at), cameras, rasteriser)
+        for lag in LAGS:
+            other = at + lag if at + lag < frames else at - lag
+            if other >= 0:
+                squared.setdefault(lag, []).append(views.look(frame(other)).error)
+    return tuple((lag, round(-10 * math.log10(float(np.mean(errors))), 3)) for lag, errors in sorted(squared.items()))
 
 
 @runtime_checkable

@@ -28,7 +28,15 @@ from cags_encoder.codecs.svq import SvqCodec
 from cags_encoder.execution.executors import INLINE, Shared, Workers, ahead
 from cags_encoder.execution.journal import Journal
 from cags_encoder.frames.tasks import read
-from cags_encoder.measuring import VIEWS, Levelled, LodMeasurement, measure, measured_levels, standing
+from cags_encoder.measuring import (
+    VIEWS,
+    Levelled,
+    LodMeasurement,
+    measure,
+    measured_levels,
+    standing,
+    standing_still,
+)
 from cags_encoder.motion.steps import motion_steps
 from cags_encoder.motion.tolerance import Looked, Tolerance, Tolerances, tolerances
 from cags_encoder.pruning import prune, prune_within
@@ -125,6 +133,7 @@ class _Encoding:
         self._count = len(source) if settings.frames is None else min(settings.frames, len(source))
         self._pruning: Pruning | None = None
         self._quality: LodQuality | None = None
+        self._still: tuple[tuple[int, float], ...] = ()
         self._tolerances = Tolerances()
         self._source = self._pruned(source)
 
@@ -256,6 +265,7 @@ class _Encoding:
         if known is not None:
             order = tuple(LodLayer(attribute, layer) for attribute, layer in known["order"])
             quality = LodQuality.from_json(known["quality"].encode())
+            self._still = tuple((int(frames), float(psnr_db)) for frames, psnr_db in known["still"])
             return LodMeasurement(order, tuple(known["gains_db"]), quality, known["position_step"])
         rasteriser = create("auto")
         if rasteriser.name == "oracle":
@@ -268,6 +278,7 @@ class _Encoding:
             self._tell("order", done, total)
 
         found = measure(codec, first, cameras, rasteriser, tell, still=still)
+        self._still = standing_still(self._source.frame, self._count, cameras, rasteriser)
         if self._journal:
             order_note = [[item.attribute, item.layer] for item in found.order]
             note = {
@@ -275,6 +286,7 @@ class _Encoding:
                 "gains_db": found.gains_db,
                 "quality": found.quality.to_json().decode(),
                 "position_step": found.position_step,
+                "still": self._still,
             }
             self._journal.write_note("order", note)
         return found
@@ -292,6 +304,7 @@ class _Encoding:
             lod_order=codec.lod_order,
             lod_gains_db=codec.lod_gains_db,
             base_psnr_db=codec.base_psnr_db,
+            still_psnr_db=self._still,
             codec=self._settings.codec,
             quantiser=self._settings.quantiser,
             up=_vector(np.asarray(source.up)),

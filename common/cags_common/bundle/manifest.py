@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from bisect import bisect_right
 from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
 
 from cags_common.bundle.fields import Fields
 from cags_common.bundle.tracks import MAX_LIFE_CLASSES, ChangedShares, TrackStatistics
@@ -23,6 +24,7 @@ FORMAT = "cags-bundle"
 VERSION = 4
 MAX_MANIFEST_BYTES = 16 * 2**20
 MAX_FRAMES = 1_000_000
+MAX_STILL = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +109,9 @@ class Manifest:
     """How the author wants the scene to be opened."""
     base_psnr_db: float | None = None
     """PSNR of level 0 in the renders that ``lod_gains_db`` is from; None when it was not measured."""
+    still_psnr_db: tuple[tuple[int, float], ...] = ()
+    """(frames, PSNR) by rising frames: renders of a frame against those of the frame so many later, in the mean over
+    the clip; empty when it was not measured."""
     version: int = VERSION
 
     @property
@@ -135,6 +140,8 @@ class Manifest:
         for name in ("weights_crc", "base_psnr_db"):
             if table[name] is None:
                 del table[name]
+        if not self.still_psnr_db:
+            del table["still_psnr_db"]
         del table["view"]
         if self.view is not None:
             table["view"] = self.view.table()
@@ -174,6 +181,7 @@ def _checked(fields: Fields) -> Manifest:
         lod_order=fields.many("lod_order", _lod_layer, MAX_LODS - 1),
         lod_gains_db=fields.many("lod_gains_db", lambda f: f.number("", -1e3, 1e3), MAX_LODS - 1),
         base_psnr_db=fields.number("base_psnr_db", -1e3, 1e3) if fields.has("base_psnr_db") else None,
+        still_psnr_db=fields.many("still_psnr_db", _still, MAX_STILL) if fields.has("still_psnr_db") else (),
         codec=fields.text("codec"),
         quantiser=fields.text("quantiser"),
         up=fields.vector("up"),
@@ -194,9 +202,19 @@ def _checked(fields: Fields) -> Manifest:
         )
     if len(manifest.capacity) != len(starts) or len(manifest.gofs) not in (0, len(starts)):
         raise BundleError(f"manifest: capacity and gofs must have one entry for each of the {len(starts)} groups")
+    lags = [frames for frames, _ in manifest.still_psnr_db]
+    if any(a >= b for a, b in pairwise(lags)):
+        raise BundleError(f"manifest: still_psnr_db must rise in frames, found {lags}")
     if len(manifest.lod_gains_db) not in (0, len(manifest.lod_order)):
         raise BundleError("manifest: lod_gains_db must be empty or have one entry for each LoD of lod_order")
     return manifest
+
+
+def _still(field: Fields) -> tuple[int, float]:
+    pair = field.many("", lambda f: f.number("", -1e3, 1e9), 2)
+    if len(pair) != 2 or pair[0] != int(pair[0]) or not 1 <= pair[0] <= MAX_FRAMES:
+        raise BundleError(f"manifest: still_psnr_db must be pairs of frames from 1 on and decibels, found {pair}")
+    return int(pair[0]), pair[1]
 
 
 def _bounds(fields: Fields) -> tuple[Vec3, Vec3]:

@@ -75,6 +75,10 @@ class Observation:
     timely_bytes: int = UNBOUNDED_BYTES  # of them, what may go to what must arrive before the frame is displayed
     alone_bytes: int = 0  # instead of all that: what one message may take that stays, if nothing goes beside it
     frame_bytes: float = UNBOUNDED_BYTES  # what the link carries in the time of a media frame
+    still_errors: tuple[tuple[float, float], ...] = ()
+    """(frames, squared error relative to a base layer's) of splats that have stood still for so long, as measured, by
+    rising frames; empty if unknown.
+    """
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,9 +8,10 @@ thirtieth of the same detail on splats that stay for a second. A base layer is w
 splats in its place, as in a key frame.
 
 Motion and updates have the same unit of value. Splats without their motion stand still, and splats without an update
-show an old attribute; both errors grow with time. The last level of motion that says anything leaves as much error as
-the best looks do, each level before it more. A chunk that begins later is worth less now, so chunks that begin together
-are sent one by one while the link has room.
+show an old attribute; both errors grow with time. How fast that of standing still grows is measured by the encoder
+(``still_psnr_db``), since clips differ by a factor of ten thousand. The last level of motion that says anything leaves
+as much error as the best looks do, each level before it more. A chunk that begins later is worth less now, so chunks
+that begin together are sent one by one while the link has room.
 
 A layer of small gain may precede one of large gain. A tile's layers are therefore offered in runs along the convex hull
 of removed distortion over bytes, steepest first, which makes the greedy order optimal up to the last run.
@@ -29,7 +30,7 @@ from cags_server.ratecontrol.base import Decision, Observation, TileView
 from cags_server.ratecontrol.plan import Plan
 
 HOLE_DB, STALE_DB = 20.0, 6.0
-"""Error of a missing tile, and of the previous frame's splats, relative to a base layer."""
+"""Error of a missing tile, and of the previous frame's splats where that was not measured, relative to a base layer."""
 
 UPDATE_DB = -6.0
 """Error of an outdated attribute relative to a base layer's; encoders write updates for less than that."""
@@ -98,6 +99,8 @@ class Errors:
     """Error of a tile at each held LoD."""
     held: float
     """Mean error of the held looks over the picture."""
+    still: tuple[tuple[float, float], ...] = ()
+    """See :attr:`~cags_server.ratecontrol.base.Observation.still_errors`."""
 
 
 def errors_of(observation: Observation) -> Errors:
@@ -105,7 +108,8 @@ def errors_of(observation: Observation) -> Errors:
     lods = _distortions(observation)
     looks = [tile for tile in observation.tiles if tile.kind == TileKind.LOOKS and tile.depth]
     weight = sum(tile.weight for tile in looks)
-    return Errors(lods, sum(tile.weight * lods[tile.depth - 1] for tile in looks) / weight if weight else 1.0)
+    held = sum(tile.weight * lods[tile.depth - 1] for tile in looks) / weight if weight else 1.0
+    return Errors(lods, held, observation.still_errors)
 
 
 def _distortions(observation: Observation) -> tuple[float, ...]:
@@ -129,18 +133,28 @@ def _frames_left(tile: TileView) -> float:
     return max(tile.frames_left, 1.0)
 
 
-def absent(tile: TileView, held: float) -> float:
-    """Squared error without the tile, relative to that of its base layer, as a mean over its remaining frames.
-
-    Motion is modelled as a random walk: squared error grows in proportion to the age of the splats, up to that of a
-    hole.
-    """
+def absent(tile: TileView, errors: Errors) -> float:
+    """Squared error without the tile, relative to that of its base layer, as a mean over its remaining frames."""
     if tile.kind == TileKind.UPDATE:
-        return min(held + _ratio(UPDATE_DB) * tile.stale_frames, _ratio(HOLE_DB))
+        return min(errors.held + _ratio(UPDATE_DB) * tile.stale_frames, _ratio(HOLE_DB))
     if tile.kind == TileKind.MOTION:  # the error of a missing chunk grows for a long time
-        return min(_ratio(STALE_DB) * (tile.stale_frames + tile.frames_left / 2), _ratio(HOLE_DB))
-    wandered = min(_ratio(STALE_DB) * tile.stale_frames, _ratio(HOLE_DB))
-    return tile.replaces * wandered + (1.0 - tile.replaces) * _ratio(HOLE_DB)
+        return stood_still(tile.stale_frames + tile.frames_left / 2, errors.still)
+    return tile.replaces * stood_still(tile.stale_frames, errors.still) + (1.0 - tile.replaces) * _ratio(HOLE_DB)
+
+
+def stood_still(frames: float, measured: tuple[tuple[float, float], ...]) -> float:
+    """Squared error of splats that have stood still for so many ``frames``, relative to a base layer's: at most that of
+    a hole.
+
+    Between the ``measured`` points and beyond them it follows lines. Where nothing was measured motion is taken for a
+    random walk, whose squared error grows in proportion to time.
+    """
+    points = ((0.0, 0.0), *measured) if measured else ((0.0, 0.0), (1.0, _ratio(STALE_DB)))
+    following = next((at for at in range(1, len(points)) if frames <= points[at][0]), len(points) - 1)
+    (first, low), (last, high) = points[following - 1 : following + 1]
+    slope = (high - low) / (last - first)
+    error = high + max(slope, 0.0) * (frames - last) if frames > last else low + slope * (frames - first)
+    return min(error, _ratio(HOLE_DB))
 
 
 def _ratio(db: float) -> float:
@@ -167,7 +181,7 @@ def _runs(observation: Observation, tile: TileView, errors: Errors) -> list[_Run
     early = max(tile.frame - observation.frame, 0)
     value = tile.weight * _frames_left(tile) * max(1.0 - early / AHEAD_FRAMES, 0.0)
     levels = left_by(tile, errors.lods)
-    held = (absent(tile, errors.held), *levels)[tile.depth]
+    held = (absent(tile, errors), *levels)[tile.depth]
     layered, overhead = observation.layered, observation.message_overhead_bytes
     left = levels[tile.depth :]
     hull = _hull(tile.lod_bytes, tile.depth, held, left, overhead=overhead, layered=layered)

@@ -33,6 +33,8 @@ class SceneLibrary:
         self.decoded = DecodedTiles(reader, decoded_bytes)
         """What clients make of tiles."""
         self.weights = reader.weights()
+        self.still_errors = _still_errors(reader.manifest)
+        """(frames, squared error relative to the base layer's) if nothing moves for so long; empty if unknown."""
         """Weights of a restorer trained for this content, offered to clients."""
         self._owners = Recent[tuple[int, int], Owners](OWNER_BYTES, least=OWNER_FRAMES)  # by (group, frame)
         self._stays = Recent[int, Stays](OWNER_BYTES)  # by frame
@@ -168,3 +170,10 @@ class SceneLibrary:
         for at in range(first, frame + 1):
             owners = advanced(owners, self.reader, tiles, at)
         return owners
+
+
+def _still_errors(manifest: Manifest) -> tuple[tuple[float, float], ...]:
+    base_db = manifest.base_psnr_db
+    if base_db is None:
+        return ()
+    return tuple((float(frames), 10.0 ** ((base_db - psnr_db) / 10.0)) for frames, psnr_db in manifest.still_psnr_db)

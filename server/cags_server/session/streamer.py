@@ -663,6 +663,7 @@ class Streamer:
             budget_bytes=record.budget_bytes,
             tiles=tiles,
             lod_gains_db=self._library.manifest.lod_gains_db,
+            still_errors=self._library.still_errors,
             message_overhead_bytes=MESSAGE_OVERHEAD_BYTES,
             layered=self._tiles.layered,
             waiting_us=self._budget.waiting_us(now_us),

@@ -14,7 +14,7 @@ from cags_common.splats import Splats
 from cags_common.tiles.lod import LodLayer, check_order
 from cags_encoder import EncodeSettings
 from cags_encoder.codecs.svq import SvqCodec
-from cags_encoder.measuring import LodMeasurement, cheapest_first, measure, standing
+from cags_encoder.measuring import LodMeasurement, cheapest_first, measure, standing, standing_still
 from cags_encoder.scenes import Focus
 from cags_encoder.views import cameras_around
 from support.codec_scenes import cloud
@@ -93,6 +93,21 @@ def test_what_stands_still_is_found_whatever_the_order_of_rows() -> None:
     still = standing(first, later, SvqCodec.train(first, EncodeSettings()))
     assert still[300:].all() and not still[:300].any()
     assert not standing(first, later.take(slice(0, 0)), SvqCodec.train(first, EncodeSettings())).any()
+
+
+def test_what_standing_still_costs_is_measured_from_several_frames_of_the_clip() -> None:
+    rasteriser = create("auto")
+    cameras = cameras_around(Focus((0, 0, 0), 2.0), (0, 1, 0), 2)
+    first = cloud(300, 5)
+
+    def frame(number: int) -> Splats:  # still at first
+        return replace(first, means=first.means + np.float32(0.02 * max(number - 4, 0)))
+
+    found = standing_still(frame, 10, cameras, rasteriser)
+    assert [frames for frames, _ in found] == [1, 4], "nothing is sixteen frames later"
+    assert 60 > found[0][1] > found[1][1] > 5
+    assert standing_still(lambda _: first, 2, cameras, rasteriser)[0][1] > 90
+    assert standing_still(frame, 1, cameras, rasteriser) == ()
 
 
 def test_steps_that_are_given_or_published_are_not_measured() -> None:

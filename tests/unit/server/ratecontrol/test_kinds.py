@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from cags_common.tiles.kinds import TileKind
 from cags_server.ratecontrol import Decision, Observation, TileView, create_rate_policy
 from cags_server.ratecontrol.base import UNBOUNDED_BYTES
-from cags_server.ratecontrol.utility import left_by
+from cags_server.ratecontrol.utility import left_by, stood_still
 
 FRAME = 20
 LOOKS = TileView(0, 0, 1, 50, (400, 60, 60, 60), weight=50.0, frames_left=30.0)
@@ -42,6 +44,33 @@ def test_motion_of_which_more_is_seen_than_of_its_looks_goes_with_them(policy: s
 @pytest.mark.parametrize("policy", ["utility", "paper"])
 def test_what_stands_still_is_moved_before_what_is_there_is_refined(policy: str) -> None:
     assert levels(decide(policy, 115, LOOKS, CHUNK)) == {(18, 1): (0, 1)}
+
+
+@pytest.mark.parametrize(("errors", "first"), [((0.001, 0.004), (0, 0)), ((10.0, 40.0), (18, 1))])
+def test_where_little_moves_looks_are_refined_first(errors: tuple[float, float], first: tuple[int, int]) -> None:
+    measured = tuple(zip((1.0, 16.0), errors, strict=True))
+    observation = Observation(FRAME, 115, (LOOKS, CHUNK), (2.0, 2.0, 2.0), 10, still_errors=measured)
+    assert create_rate_policy("utility").decide(observation).upgrades[0].frame == first[0]
+
+
+POINTS = st.lists(st.floats(0, 1e3), min_size=2, max_size=5).map(
+    lambda errors: tuple((4.0**at, error) for at, error in enumerate(sorted(errors)))
+)
+
+
+@given(POINTS, st.floats(0, 1e4), st.floats(0, 1e4))
+def test_standing_still_for_longer_is_never_better_and_never_worse_than_a_hole(
+    points: tuple[tuple[float, float], ...], some: float, more: float
+) -> None:
+    less, later = (stood_still(frames, points) for frames in sorted((some, more)))
+    assert 0 <= less <= later + 1e-9 and later <= 100.0
+    assert all(stood_still(frames, points) == pytest.approx(min(error, 100.0)) for frames, error in points)
+
+
+def test_the_error_of_standing_still_stays_where_what_moves_comes_back() -> None:
+    there_and_back = ((1.0, 0.5), (4.0, 2.0), (16.0, 0.25))
+    assert stood_still(16, there_and_back) == stood_still(40, there_and_back) == 0.25
+    assert stood_still(10, there_and_back) == pytest.approx(1.125)
 
 
 def test_empty_levels_of_motion_say_nothing_of_those_before() -> None:
