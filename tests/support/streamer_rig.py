@@ -83,7 +83,7 @@ class Rig:
 
     def step(self, late_us: int = 0, *, deliver: bool = True) -> list[ev.Outgoing]:
         """Plan and finish the next due frame, which has a render or not."""
-        due = self.streamer.next_due_us()
+        due = self.frame_due_us()
         assert due is not None
         self.now_us = due + late_us
         job = self.streamer.begin(self.now_us)
@@ -93,6 +93,10 @@ class Rig:
         if deliver:
             self.deliver(out)
         return out
+
+    def frame_due_us(self) -> int | None:
+        """When the next frame is to be planned; detail may be before it."""
+        return self.streamer._frame_due_us()
 
     def catch_up(self, now_us: int) -> list[ev.Outgoing]:
         """What is due without a render."""

@@ -31,7 +31,7 @@ from cags_server.link.pace import MARGIN_US
 from cags_server.link.reference_budget import REFERENCE_OVERHEAD_BYTES, ReferenceBudget
 from cags_server.ratecontrol import Decision, Observation, create_rate_policy
 from cags_server.ratecontrol.base import mean_level
-from cags_server.ratecontrol.outlook import lacking_bytes, supply
+from cags_server.ratecontrol.outlook import Supply, lacking_bytes, supply
 from cags_server.records import Ahead, FrameRecord, ReferenceCosts, StreamStats
 from cags_server.reference.coder import ReferenceCoder
 from cags_server.reference.job import FrameJob, FramePlan, FrameRender
@@ -120,6 +120,8 @@ class Streamer:
         self._rests_until_us = 0  # the renderer, after a job that took long
         self._render_plan: FramePlan | None = None  # the newest
         self._went_ahead: FrameRecord | None = None  # what was sent for the pending render
+        self._newest: FrameRecord | None = None  # the frame that was served last, while the client lacks some of it
+        self._decided_us = 0  # when tiles were chosen last
         self._marks: list[ev.Outgoing] = []
         self._ends_due_us: dict[int, int] = {}  # media frame whose end is queued: its display, client clock
         self._late_ends: list[tuple[ev.Outgoing, int]] = []  # taken back, and their display
@@ -237,7 +239,7 @@ class Streamer:
     def _on_control(self, control: Control, now_us: int) -> None:
         self._schedule.controlled(control, now_us)
         self._arrivals.forget()
-        self._went_ahead = None
+        self._went_ahead = self._newest = None
         self._ends_due_us.clear()
         self._late_ends.clear()
         self._tiles.client_keeps = control.keeps
@@ -293,7 +295,20 @@ class Streamer:
         """Time to plan the next frame, by the server's clock; None if there is nothing to plan."""
         if self._greeting_due_us is not None:
             return self._greeting_due_us
+        due_us, detail_us = self._frame_due_us(), self._detail_due_us()
+        return due_us if due_us is None or detail_us is None else min(due_us, detail_us)
+
+    def _frame_due_us(self) -> int | None:
         return self._schedule.next_due_us(self._next_is_seen)
+
+    def _detail_due_us(self) -> int | None:
+        """Time to choose more tiles for the frame that was served last; None if it lacks none.
+
+        Where the lead has become shorter, the next frame is not due for longer than a frame, and the link would idle.
+        """
+        if self._newest is None or self._schedule.rendering:
+            return None
+        return self._decided_us + round(self._schedule.planned_period_us)
 
     def begin(self, now_us: int) -> FrameJob | None:
         """Plan the newest due frame: predict the viewer's pose and choose the field of view. None if no frame is due.
@@ -304,7 +319,7 @@ class Streamer:
             return self._greeting(now_us) if now_us >= self._greeting_due_us else None
         if self._schedule.rendering:
             return None
-        due_us = self.next_due_us()
+        due_us = self._frame_due_us()
         if due_us is None or now_us < due_us or self._between_references(now_us):
             return None
         tick, frame, covered = self._schedule.begin_render(now_us - due_us)
@@ -375,9 +390,11 @@ class Streamer:
         Only references wait for the renderer; media does not. Before the first render, visibility follows from tile
         bounds.
         """
-        due_us, frame = self.next_due_us(), self._schedule.next_frame
-        if frame is None or due_us is None or now_us < due_us:
+        due_us, frame = self._frame_due_us(), self._schedule.next_frame
+        if frame is None or due_us is None:
             return []
+        if now_us < due_us:
+            return self._more_detail(now_us)
         between = self._between_references(now_us)
         if not (self._schedule.rendering or between):
             return []
@@ -397,6 +414,17 @@ class Streamer:
         visible = self._visibility.tiles(ahead) if told else self._tiles_in_view(ahead, plan.predicted.pose)
         out = self._from_nothing(plan, now_us) + self._passed_over(plan, record, now_us)
         return out + self._upgrades(visible, record, now_us)
+
+    def _more_detail(self, now_us: int) -> list[ev.Outgoing]:
+        """Tiles for the frame that was served last, if they are due."""
+        record, due_us = self._newest, self._detail_due_us()
+        if record is None or due_us is None or now_us < due_us or not self._visibility.tells_of(record.ahead.frame):
+            return []
+        step = replace(record, tile_bytes=0, reference_bytes=0, ticks_covered=1)
+        out = self._upgrades(self._visibility.tiles(record.ahead.frame), step, now_us, passing=True)
+        record.tile_bytes += step.tile_bytes
+        record.budget_bytes += step.budget_bytes
+        return out
 
     def _enter(self, frame: int, now_us: int) -> None:
         self._tiles.enter(frame)
@@ -674,10 +702,14 @@ class Streamer:
         decision = self._policy.decide(observation)
         coming_bytes = self._budget.outstanding_bytes + lacking_bytes(observation)
         self._worth.observe(coming_bytes, record.estimate_bps, self._schedule.timeline.period_us)
-        if not passing and self._reserve_is_full(record):
-            self._schedule.reserve.hold()
-        elif not passing:
-            self._schedule.reserve.planned(supply(observation, decision), period_us=period_us)
+        self._decided_us = now_us
+        if not passing:
+            found = supply(observation, decision)
+            self._newest = None if found is Supply.COMPLETE else record
+            if self._reserve_is_full(record):
+                self._schedule.reserve.hold()
+            else:
+                self._schedule.reserve.planned(found, period_us=period_us)
         record.tile_bytes += decision.bytes
         self._budget.close(earned_bytes - decision.bytes, now_us)
         record.visible_tiles, record.upgrades = len(visible), len(decision.upgrades)
