@@ -21,6 +21,7 @@ from cags_protocol.wire.messages import (
     Hello,
     Mark,
     ReferenceFrame,
+    ReferenceKind,
     TileLayers,
     Welcome,
 )
@@ -454,7 +455,7 @@ class Streamer:
         seen = self._next_is_seen()
         spare_us = self._reference_deadline_us(self._schedule.timeline.display_us(self._schedule.next_tick)) - now_us
         affordable = self._reference_budget.bears(now_us, spare_us)
-        room = affordable and now_us >= self._rests_until_us and not self._stands_still(now_us)
+        room = affordable and now_us >= self._rests_until_us and not self._is_behind(now_us)
         if seen and not self._schedule.rendering:
             self._no_place = room and not self._may_render(now_us)
             if not room or self._no_place:
@@ -745,10 +746,15 @@ class Streamer:
     def _is_past(self, display_us: int, now_us: int) -> bool:
         return now_us >= self._viewer.clock.to_server(display_us)
 
-    def _stands_still(self, now_us: int) -> bool:
-        """Whether the end of a displayed frame still waits: the client shows an older one, for which references of
-        later frames are of no use.
+    def _is_behind(self, now_us: int) -> bool:
+        """Whether the next reference is of no use because the client shows an older frame.
+
+        A difference assumes what was sent before it, and the client shows no more than that: the end of its frame must
+        be out. A picture assumes nothing, so it is of use until the client stands still.
         """
+        if self._coder.kind is ReferenceKind.DIFFERENCE:
+            next_us = self._schedule.timeline.display_us(self._schedule.next_tick)
+            return any(display_us <= next_us for display_us in self._ends_due_us.values())
         return any(self._is_past(display_us, now_us) for display_us in self._ends_due_us.values())
 
     def take_late_ends(self, now_us: int) -> list[ev.Outgoing]:

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import pytest
+
 from cags_protocol import events as ev
-from cags_protocol.wire.messages import FrameEnd, TileLayers
+from cags_protocol.wire.messages import FrameEnd, ReferenceFrame, TileLayers
 from cags_server.ratecontrol.priorities import BASE_PRIORITY
+from support.server_scene import SETTINGS
 from support.streamer_rig import OFFSET_US, PERIOD_US, Rig, of
 
 START_US = 300_000
@@ -80,3 +85,17 @@ def test_tiles_are_outdated_as_before() -> None:
     tile = next(each for each in out if isinstance(each.message, TileLayers))
     assert not rig.streamer.outdated(tile, displayed(0) - 1)
     assert rig.streamer.outdated(tile, displayed(tile.message.frame) + round(4 * PERIOD_US))
+
+
+@pytest.mark.parametrize("kind", ["difference", "picture"])
+def test_a_difference_is_not_made_for_a_frame_whose_end_waits(kind: str) -> None:
+    """The client shows no more than a difference assumes, and so would show an older frame."""
+    rig = Rig(replace(SETTINGS, references=kind, reserve_s=0.0), gof=12)
+    rig.play()
+    out = [each for _ in range(6) for each in rig.step(deliver=False)]
+    ends = [each for each in out if isinstance(each.message, FrameEnd)]
+    made = [reference.frame for reference in of(ReferenceFrame, out)]
+    first = min(end.message.frame for end in ends)
+    assert max(made, default=0) >= first if kind == "picture" else max(made, default=0) < first
+    rig.deliver(ends)
+    assert of(ReferenceFrame, rig.step() + rig.step())
