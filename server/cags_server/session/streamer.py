@@ -46,6 +46,7 @@ from cags_server.session.schedule import Schedule
 from cags_server.session.startup import Startup
 from cags_server.session.tile_sender import TileSender
 from cags_server.session.viewer import Viewer
+from cags_server.session.waiting_ends import WaitingEnds
 from cags_server.settings import PLAIN, ServerSettings
 from cags_server.visibility.visibility import Visibility
 
@@ -124,8 +125,7 @@ class Streamer:
         self._newest: FrameRecord | None = None  # the frame that was served last, while the client lacks some of it
         self._decided_us = 0  # when tiles were chosen last
         self._marks: list[ev.Outgoing] = []
-        self._ends_due_us: dict[int, int] = {}  # media frame whose end is queued: its display, client clock
-        self._late_ends: list[tuple[ev.Outgoing, int]] = []  # taken back, and their display
+        self._ends = WaitingEnds()
         self._joined_us = self._marked_us = 0
         self._greeting_due_us: int | None = None  # of the first picture, before the viewer starts playback
         self._damaged = False  # a sent message did not arrive completely
@@ -210,11 +210,9 @@ class Streamer:
                 self.stats.bytes_dropped += sent_bytes
                 self._on_settled(outgoing, delivered=False)
                 self._damaged |= reason == "lost" and isinstance(outgoing.message, TileLayers | FrameEnd)
-                self._left(outgoing)
-                if isinstance(outgoing.message, FrameEnd):
-                    due_us = self._ends_due_us.pop(outgoing.message.frame, None)
-                    if reason == "cancelled" and due_us is not None and self._presses(due_us, now_us):
-                        self._late_ends.append((outgoing, due_us))
+                display_us = self._left(outgoing)
+                if reason == "cancelled" and display_us is not None and display_us <= self._late_until_us(now_us):
+                    self._ends.taken_back(outgoing, display_us)
             case ev.Evicted(tiles):
                 for held in tiles:
                     self._tiles.evicted(held)
@@ -224,25 +222,24 @@ class Streamer:
     def _on_sent(self, outgoing: ev.Outgoing, now_us: int) -> None:
         """A message was written completely."""
         self._left(outgoing)
-        if isinstance(outgoing.message, FrameEnd):
-            self._ends_due_us.pop(outgoing.message.frame, None)
         if isinstance(outgoing.message, TileLayers | FrameEnd):
             if self._coder.compares:
                 self._mirror.sent(outgoing.message, outgoing.payload)
             if now_us - self._marked_us >= MARK_EVERY_US and self._coder.kind is not None:
                 self._mark(now_us)
 
-    def _left(self, outgoing: ev.Outgoing) -> None:
-        """A message has left the queue."""
-        if isinstance(outgoing.message, ReferenceFrame):
-            self._reference_budget.left(outgoing.message.frame)
+    def _left(self, outgoing: ev.Outgoing) -> int | None:
+        """A message has left the queue; returns the display of the frame that it is the end of, by the client's clock."""
+        message = outgoing.message
+        if isinstance(message, ReferenceFrame):
+            self._reference_budget.left(message.frame)
+        return self._ends.left(message.frame) if isinstance(message, FrameEnd) else None
 
     def _on_control(self, control: Control, now_us: int) -> None:
         self._schedule.controlled(control, now_us)
         self._arrivals.forget()
         self._went_ahead = self._newest = None
-        self._ends_due_us.clear()
-        self._late_ends.clear()
+        self._ends.clear()
         self._tiles.client_keeps = control.keeps
         if control.action == "seek":
             self._tiles.go_back(control.frame)
@@ -622,8 +619,7 @@ class Streamer:
         decision = self._decide(visible, record, now_us, passing=passing)
         deadline_us = self._viewer.clock.to_server(ahead.display_us) + int(self._settings.tile_deadline_ms * 1000)
         out = self._tiles.upgrades(ahead.frame, decision.upgrades, deadline_us)
-        frames = [each.message.frame for each in out if isinstance(each.message, FrameEnd)]
-        self._ends_due_us |= dict.fromkeys(frames, ahead.display_us)
+        self._ends.queued(out, ahead.display_us)
         return self._counted(out, now_us)
 
     def _reserve_is_full(self, record: FrameRecord) -> bool:
@@ -724,27 +720,16 @@ class Streamer:
         """
         message, deadline_us = outgoing.message, outgoing.deadline_us
         if isinstance(message, FrameEnd):
-            return self._ends_late(outgoing, now_us)
+            return self._ends.has(message.frame, self._late_until_us(now_us))
         if not isinstance(message, TileLayers) or deadline_us is None:
             return False
         return now_us >= deadline_us - int(self._settings.tile_deadline_ms * 1000)
 
-    def _ends_late(self, outgoing: ev.Outgoing, now_us: int) -> bool:
-        """Whether a message is the end of a frame that is displayed before it arrives."""
-        if not isinstance(outgoing.message, FrameEnd):
-            return False
-        display_us = self._ends_due_us.get(outgoing.message.frame)
-        return display_us is not None and self._presses(display_us, now_us)
-
-    def _presses(self, display_us: int, now_us: int) -> bool:
-        """Whether an end comes too late for its display if it waits for another planned frame."""
+    def _late_until_us(self, now_us: int) -> int:
+        """Displays, by the client's clock, up to which an end comes too late if it waits for another planned frame."""
         newest = self._link.newest
         travels_us = newest.shortest_rtt_us / 2 + self._link.through_us(newest.in_flight_bytes, now_us)
-        travels_us += self._schedule.planned_period_us + MARGIN_US
-        return self._viewer.clock.to_server(display_us) - now_us < travels_us
-
-    def _is_past(self, display_us: int, now_us: int) -> bool:
-        return now_us >= self._viewer.clock.to_server(display_us)
+        return self._viewer.clock.to_client(now_us + round(travels_us + self._schedule.planned_period_us) + MARGIN_US)
 
     def _is_behind(self, now_us: int) -> bool:
         """Whether the next reference is of no use because the client shows an older frame.
@@ -753,26 +738,12 @@ class Streamer:
         be out. A picture assumes nothing, so it is of use until the client stands still.
         """
         if self._coder.kind is ReferenceKind.DIFFERENCE:
-            next_us = self._schedule.timeline.display_us(self._schedule.next_tick)
-            return any(display_us <= next_us for display_us in self._ends_due_us.values())
-        return any(self._is_past(display_us, now_us) for display_us in self._ends_due_us.values())
+            return self._ends.any_until(self._schedule.timeline.display_us(self._schedule.next_tick))
+        return self._ends.any_until(self._viewer.clock.to_client(now_us))
 
     def take_late_ends(self, now_us: int) -> list[ev.Outgoing]:
-        """Frame ends that would be late where they wait, to queue again ahead of all else.
-
-        The newest one covers all of them; the others are needed only if they name removed splats. Behind tiles and
-        references, frame ends would fall back ever further on a slow link, and the client shows nothing beyond them.
-        """
-        late, self._late_ends = self._late_ends, []
-        if not late:
-            return []
-        out = []
-        for end, display_us in late:
-            assert isinstance(end.message, FrameEnd)
-            if end.payload or end is late[-1][0]:
-                self._ends_due_us[end.message.frame] = display_us
-                out.append(replace(end, urgent=True))
-        return self._counted(out, now_us)
+        """Frame ends that would be late where they wait, to queue again ahead of all else."""
+        return self._counted(self._ends.again(), now_us)
 
     def _display_us(self, deadline_us: int) -> int:
         """Display time of the frame of a reference that is useful until ``deadline_us``; both by the server's clock."""
