@@ -229,7 +229,7 @@ class Streamer:
                 self._mark(now_us)
 
     def _left(self, outgoing: ev.Outgoing) -> int | None:
-        """A message has left the queue; returns the display of the frame that it is the end of, by the client's clock."""
+        """A message has left the queue; returns the display of the frame that it ends, by the client's clock."""
         message = outgoing.message
         if isinstance(message, ReferenceFrame):
             self._reference_budget.left(message.frame)
