@@ -96,7 +96,7 @@ class Rig:
 
     def frame_due_us(self) -> int | None:
         """When the next frame is to be planned; detail may be before it."""
-        return self.streamer._frame_due_us()
+        return self.streamer.frame_due_us()
 
     def catch_up(self, now_us: int) -> list[ev.Outgoing]:
         """What is due without a render."""

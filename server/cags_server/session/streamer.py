@@ -290,13 +290,14 @@ class Streamer:
     # ------------------------------------------------------------------------------------------------------ planning
 
     def next_due_us(self) -> int | None:
-        """Time to plan the next frame, by the server's clock; None if there is nothing to plan."""
+        """Time to plan the next frame, or more tiles for the last one, by the server's clock; None if there is nothing."""
         if self._greeting_due_us is not None:
             return self._greeting_due_us
-        due_us, detail_us = self._frame_due_us(), self._detail_due_us()
+        due_us, detail_us = self.frame_due_us(), self._detail_due_us()
         return due_us if due_us is None or detail_us is None else min(due_us, detail_us)
 
-    def _frame_due_us(self) -> int | None:
+    def frame_due_us(self) -> int | None:
+        """Time to plan the next frame; None if there is none."""
         return self._schedule.next_due_us(self._next_is_seen)
 
     def _detail_due_us(self) -> int | None:
@@ -317,7 +318,7 @@ class Streamer:
             return self._greeting(now_us) if now_us >= self._greeting_due_us else None
         if self._schedule.rendering:
             return None
-        due_us = self._frame_due_us()
+        due_us = self.frame_due_us()
         if due_us is None or now_us < due_us or self._between_references(now_us):
             return None
         tick, frame, covered = self._schedule.begin_render(now_us - due_us)
@@ -388,7 +389,7 @@ class Streamer:
         Only references wait for the renderer; media does not. Before the first render, visibility follows from tile
         bounds.
         """
-        due_us, frame = self._frame_due_us(), self._schedule.next_frame
+        due_us, frame = self.frame_due_us(), self._schedule.next_frame
         if frame is None or due_us is None:
             return []
         if now_us < due_us:

@@ -84,7 +84,7 @@ class Viewer:
 
     def step(self, delivers: Callable[[ev.Outgoing], bool] = lambda each: True) -> int | None:
         """Plan the next frame: the number of that whose tiles are sent with it; None after the last."""
-        due_us = self.streamer.next_due_us()
+        due_us = self.streamer.frame_due_us()
         if due_us is None:
             return None
         self.now_us = max(due_us, self.now_us)
