@@ -290,7 +290,7 @@ class Streamer:
     # ------------------------------------------------------------------------------------------------------ planning
 
     def next_due_us(self) -> int | None:
-        """Time to plan the next frame, or more tiles for the last one, by the server's clock; None if there is nothing."""
+        """Time to plan the next frame, or more tiles for the last one, by the server's clock; None for neither."""
         if self._greeting_due_us is not None:
             return self._greeting_due_us
         due_us, detail_us = self.frame_due_us(), self._detail_due_us()
