@@ -26,6 +26,9 @@ AXES = ("openxr", "opencv")
 MAX_SAMPLES = 2_000_000
 """Bound on a trace: 15 hours at 36 Hz."""
 
+MAX_DURATION_S = 1e8
+"""Three years: beyond, times are in another unit, or damaged, and would not fit microseconds."""
+
 MIN_QUATERNION_NORM, MAX_QUATERNION_NORM = 0.9, 1.1
 """A recorded quaternion further from unit length than this is damage, not rounding."""
 
@@ -147,7 +150,10 @@ def read_poses(path: str | Path, axes: str = "openxr") -> PoseTrace:
     rotations = rows[:, 4:] / np.linalg.norm(rows[:, 4:], axis=1, keepdims=True)
     if axes == "openxr":  # half a turn about the camera's X takes (up, backward) to (down, forward)
         rotations = so3.multiply(rotations, np.array([0.0, 1.0, 0.0, 0.0]))
-    times_us = np.round((rows[:, 0] - rows[0, 0]) * 1e6).astype(np.int64)
+    seconds = rows[:, 0] - rows[0, 0]
+    if not seconds[-1] <= MAX_DURATION_S:
+        raise TraceError(f"{path}: lasts {seconds[-1]:g} s, more than {MAX_DURATION_S:g} s; give times in seconds")
+    times_us = np.round(seconds * 1e6).astype(np.int64)
     if (np.diff(times_us) <= 0).any():
         raise TraceError(f"{path}: two samples lie less than a microsecond apart")
     return PoseTrace(times_us, rows[:, 1:4].copy(), rotations)

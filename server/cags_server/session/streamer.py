@@ -732,13 +732,19 @@ class Streamer:
         travels_us = newest.shortest_rtt_us / 2 + self._link.through_us(newest.in_flight_bytes, now_us)
         return self._viewer.clock.to_client(now_us + round(travels_us + self._schedule.planned_period_us) + MARGIN_US)
 
+    @property
+    def _sends_anew(self) -> bool:
+        """Whether the bundle sends what changes anew for every frame, as it has no motion."""
+        return self._library.manifest.motion is None
+
     def _is_behind(self, now_us: int) -> bool:
         """Whether the next reference is of no use because the client shows an older frame.
 
         A difference assumes what was sent before it, and the client shows no more than that: the end of its frame must
-        be out. A picture assumes nothing, so it is of use until the client stands still.
+        be out. A picture assumes nothing, so it is of use until the client stands still. Where splats are sent anew for
+        every frame, an older frame with its difference is better than a newer one without its splats.
         """
-        if self._coder.kind is ReferenceKind.DIFFERENCE:
+        if self._coder.kind is ReferenceKind.DIFFERENCE and not self._sends_anew:
             return self._ends.any_until(self._schedule.timeline.display_us(self._schedule.next_tick))
         return self._ends.any_until(self._viewer.clock.to_client(now_us))
 
