@@ -44,7 +44,8 @@ OURS_AND_RIVALS: dict[str, Method] = {
     ),
     "cr-no-ref": Method(
         "CR w/o ref.",
-        "the distorted picture without a reference; its restoration network, trained briefly here, adds nothing",
+        "the distorted picture without a reference; its restoration network, trained as long as the others, adds "
+        "nothing, so there is none",
         client={"restore": "none"},
     ),
     "lts-f": Method(

@@ -301,11 +301,11 @@ class Streamer:
         return self._schedule.next_due_us(self._next_is_seen)
 
     def _detail_due_us(self) -> int | None:
-        """Time to choose more tiles for the frame that was served last; None if it lacks none.
+        """Time to choose more tiles for the frame that was served last; None if it lacks none, or nobody has seen it.
 
         Where the lead has become shorter, the next frame is not due for longer than a frame, and the link would idle.
         """
-        if self._newest is None or self._schedule.rendering:
+        if self._newest is None or self._schedule.rendering or not self._visibility.tells_of(self._newest.ahead.frame):
             return None
         return self._decided_us + round(self._schedule.planned_period_us)
 
@@ -417,7 +417,7 @@ class Streamer:
     def _more_detail(self, now_us: int) -> list[ev.Outgoing]:
         """Tiles for the frame that was served last, if they are due."""
         record, due_us = self._newest, self._detail_due_us()
-        if record is None or due_us is None or now_us < due_us or not self._visibility.tells_of(record.ahead.frame):
+        if record is None or due_us is None or now_us < due_us:
             return []
         step = replace(record, tile_bytes=0, reference_bytes=0, ticks_covered=1)
         out = self._upgrades(self._visibility.tiles(record.ahead.frame), step, now_us, passing=True)

@@ -224,7 +224,7 @@ def motivation(context: Context) -> Section:
             "have more splats, so its largest codebooks still lose something.",
             "The paper does not say how positions are quantised, nor whether harmonics share a codebook: here 14 bits "
             "an axis, and one codebook a band.",
-            "The networks are ours, trained briefly and on the levels of our ladder, not on these quantisers: the "
+            "The networks are trained here, on the levels of our ladder and not on these quantisers: the "
             "paper trains one for each setting. What correction by a picture reaches without one is 'ours'.",
         ],
         checks=[_above(found, *pair) for pair in ((OURS, UPSAMPLED), (OURS, DISTORTED), *_PAPER)],

@@ -44,6 +44,13 @@ def test_nothing_is_planned_between_frames_that_lack_nothing() -> None:
     assert rig.streamer.next_due_us() > planned_us + LONGER_US
 
 
+def test_what_nobody_has_seen_is_not_due_again_and_again() -> None:
+    rig, planned_us = after_a_fall_of_the_lead(1e5)
+    assert rig.streamer.next_due_us() < rig.frame_due_us()
+    rig.streamer._visibility.tells_of = lambda frame: False
+    assert rig.streamer.next_due_us() == rig.frame_due_us() > planned_us
+
+
 def test_a_control_ends_it() -> None:
     rig, _ = after_a_fall_of_the_lead(1e5)
     rig.control("seek", 6, at_us=10_000_000)
