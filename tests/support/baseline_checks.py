@@ -22,7 +22,7 @@ from cags_encoder import EncodeSettings
 from cags_server.settings import ServerSettings
 
 FRAMES, SIZE = 10, (160, 120)
-SCENE = f"procedural:size=1200,frames={FRAMES}"
+SCENE = "procedural:size=1200,frames={frames}"
 
 UNLIMITED = "generated:steady-1000"
 """A link that brings a whole frame within a millisecond."""
@@ -33,6 +33,10 @@ frame later."""
 
 BEGUN, BEGINNING_DB = 6, 40.0
 """Frames that are shown within the lead of the first plan; one of them may be shown without its own changes."""
+
+LONG_FRAMES = 40
+"""Frames of a play at a natural pace that is more than its beginning. Ten are shown within the first leads, and pass
+the whole of the scene's motion in a third of a second."""
 
 VIDEO_DB = 24.0
 """What remote rendering shows of a scene that is all fine detail, over any link that carries it: a video of so many
@@ -71,9 +75,12 @@ class Decoded:
         return self._scenes[frame].render(camera, RenderOptions(threads=1)).rgb
 
 
-def play(method: Method, cache: str, *, link: str = UNLIMITED, poses: str = "synthetic:walking") -> Played:
-    """Play the small scene by ``method``; its encodings are kept in ``cache``."""
-    bundle = cached_bundle(SCENE, cache, _encoding(method), progress=False)
+def play(
+    method: Method, cache: str, *, link: str = UNLIMITED, poses: str = "synthetic:walking", frames: int = FRAMES
+) -> Played:
+    """Play the small scene by ``method``; its encodings are kept in ``cache``. The scene moves as far in ``frames``,
+    however few they are."""
+    bundle = cached_bundle(SCENE.format(frames=frames), cache, _encoding(method, frames), progress=False)
     decoded, out = Decoded(bundle), Played()
     before: list[F32] = []
 
@@ -100,8 +107,8 @@ def play(method: Method, cache: str, *, link: str = UNLIMITED, poses: str = "syn
     return out
 
 
-def _encoding(method: Method) -> EncodeSettings:
-    usual = EncodeSettings(frames=FRAMES, train_splats=1024)
+def _encoding(method: Method, frames: int) -> EncodeSettings:
+    usual = EncodeSettings(frames=frames, train_splats=1024)
     return replace(usual, **{"lod_order": "paper", **method.encode})
 
 
