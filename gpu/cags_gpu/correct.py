@@ -56,7 +56,7 @@ def shown(
         return _as_bytes(frame.on_cpu(scene).rgb)
 
     def draw(resident: ResidentScene) -> Pixels:
-        return frame.draw(resident, frame.target_of(resident)).reshape(camera.height_px, camera.width_px, 4).copy()
+        return frame.draw(resident, frame.target_of(resident)).reshape(camera.height_px, camera.width_px, 4)
 
     return scene.on_device(draw, lambda _: _as_bytes(frame.on_cpu(scene).rgb))
 

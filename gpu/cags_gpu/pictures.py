@@ -49,7 +49,7 @@ class DevicePictures:
     def take(self, shown: Pixels) -> None:
         """The picture has come."""
         whole = self._frame.display or self._frame.camera
-        self._shown = shown.reshape(whole.height_px, whole.width_px, 4).copy()
+        self._shown = shown.reshape(whole.height_px, whole.width_px, 4)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -106,6 +106,6 @@ class DevicePictures:
         size = each * height * width * np.dtype(kind).itemsize
         try:
             with self._workspace.gpu.used():
-                return read_back(self._workspace, self._target[name], size).view(kind).copy()
+                return read_back(self._workspace, self._target[name], size).view(kind)
         except DeviceLostError:
             return None

@@ -25,6 +25,8 @@ class Recording:
 def submitted(workspace: Workspace, record: Callable[[Recording], Outputs]) -> list[NDArray[np.uint8]]:
     """Record, submit and read back; again with larger buffers where there were more entries than room for them.
 
+    What is returned is the caller's own.
+
     ``record`` puts any number of frames into the recording; it may be called more than once.
     """
     while True:
@@ -60,7 +62,8 @@ def _read(workspace: Workspace, recording: Recording, wanted: Outputs) -> list[N
     workspace.gpu.device.queue.submit([recording.encoder.finish()])
     through.map_sync(wgpu.MapMode.READ, 0, total)
     try:
-        everything = np.frombuffer(through.read_mapped(0, total), np.uint8)
+        # copied by numpy: its large arrays come in large pages, which are touched for the first time much faster
+        everything = np.frombuffer(through.read_mapped(0, total, copy=False), np.uint8).copy()
     finally:
         through.unmap()
     return np.split(everything, np.cumsum([size for _, size in wanted])[:-1])

@@ -3,7 +3,7 @@
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> touched: array<u32>;
 @group(0) @binding(2) var<storage, read> order: array<u32>;             // splats front to back
-@group(0) @binding(3) var<storage, read_write> sums: array<u32>;        // of blocks of 2048 splats
+@group(0) @binding(3) var<storage, read_write> sums: array<u32>;        // of blocks of 256 splats
 @group(0) @binding(4) var<storage, read_write> state: array<u32>;       // 0: splats, 1: entries, 2: wanted, 3: most wanted since cleared
 @group(0) @binding(5) var<storage, read_write> dispatch: array<u32>;    // workgroups: [0..2] of 2048, [3..5] of 256 entries
 @group(0) @binding(6) var<storage, read> records: array<vec4<u32>>;
@@ -11,8 +11,8 @@
 @group(0) @binding(8) var<storage, read_write> entry_value: array<u32>;
 @group(0) @binding(9) var<storage, read_write> slot_splat: array<u32>;
 override SLOTS: bool = false;
-const EACH = 8u;
-const BLOCK = 2048u;
+const BLOCK = 256u;      // splats of a workgroup, one a thread: a splat may touch thousands of tiles, and each is an entry
+const SORTED = 2048u;    // entries of a workgroup of the sort
 var<workgroup> part: array<u32, 256>;
 
 fn tiles_of(rank: u32) -> u32 {
@@ -38,9 +38,7 @@ fn scanned(lane: u32, value: u32) -> u32 {
 fn added(a: u32, b: u32) -> u32 { return select(a + b, 0xffffffffu, a + b < a); }
 
 @compute @workgroup_size(256) fn count(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-  var sum = 0u;
-  for (var k = 0u; k < EACH; k++) { sum += tiles_of(group.x * BLOCK + lane * EACH + k); }
-  let upto = scanned(lane, sum);
+  let upto = scanned(lane, tiles_of(group.x * BLOCK + lane));
   if (lane == 255u) { sums[group.x] = upto; }
 }
 
@@ -63,7 +61,7 @@ fn added(a: u32, b: u32) -> u32 { return select(a + b, 0xffffffffu, a + b < a); 
     state[1] = entries;
     state[2] = upto;
     state[3] = max(state[3], upto);
-    dispatch[0] = (entries + BLOCK - 1u) / BLOCK; dispatch[1] = 1u; dispatch[2] = 1u;
+    dispatch[0] = (entries + SORTED - 1u) / SORTED; dispatch[1] = 1u; dispatch[2] = 1u;
     dispatch[3] = min((entries + 255u) / 256u, 65535u); dispatch[4] = 1u; dispatch[5] = 1u;
   }
 }
@@ -97,13 +95,8 @@ fn emitted(splat: u32, from_slot: u32, count: u32) {
 }
 
 @compute @workgroup_size(256) fn emit(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-  let first = group.x * BLOCK + lane * EACH;
-  var sum = 0u;
-  for (var k = 0u; k < EACH; k++) { sum += tiles_of(first + k); }
-  var at = added(sums[group.x], scanned(lane, sum) - sum);
-  for (var k = 0u; k < EACH; k++) {
-    let tiles = tiles_of(first + k);
-    if (tiles > 0u && at < view.capacity) { emitted(order[first + k], at, tiles); }
-    at = added(at, tiles);
-  }
+  let rank = group.x * BLOCK + lane;
+  let tiles = tiles_of(rank);
+  let at = added(sums[group.x], scanned(lane, tiles) - tiles);
+  if (tiles > 0u && at < view.capacity) { emitted(order[rank], at, tiles); }
 }

@@ -155,5 +155,5 @@ def test_sizes_follow_the_counts() -> None:
     sizes = buffer_bytes("work", {"splats": 5000, "exact_splats": 1, "capacity": 4096, "one": 1})
     assert sizes["records"] == 160_000
     assert sizes["colours"] == 16
-    assert sizes["block_sums"] == 4 * 3
+    assert sizes["block_sums"] == 4 * 20
     assert sizes["entry_histogram"] == 2 * 1024 + 1024
