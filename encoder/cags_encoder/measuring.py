@@ -7,7 +7,8 @@ because chunks of motion refine their positions; therefore gains of layers are m
 
 For the order, the first frame is drawn from a few views for every attribute and number of its layers, with all layers
 of the other attributes. Squared errors of attributes nearly add up, so choosing the largest reduction per byte next is
-nearly optimal. The gain of each level is then measured along that order. Unlike in the paper no restoration is applied,
+nearly optimal. The gain of each level is then measured along that order, which ends where nothing that a display shows
+is left to gain, in this frame and in later ones. Unlike in the paper no restoration is applied,
 because the client's restorer and references are not known here.
 """
 
@@ -43,6 +44,14 @@ their order, a patch appears and vanishes while the mean error of the picture st
 POSITIONS_SHARE = 0.5
 """Largest error of a patch by rounded positions, as a share of that by looks with every layer."""
 
+ENOUGH = 10 ** (-65.0 / 10)
+"""Squared error with which no level follows. A display of 8 bits rounds by four times as much (58.9 dB)."""
+
+NOTHING = 1.001
+"""Squared error, relative to that with all levels, with which none follows: the others show nothing, as rotations of
+balls.
+"""
+
 UNSEEN = 10 ** (-45.0 / 10)
 """Squared error of a patch that is tolerable whatever the looks are."""
 
@@ -66,9 +75,10 @@ class LodMeasurement:
     position_step: float
 
     def applied(self, codec: SvqCodec) -> SvqCodec:
-        """``codec`` with this order and step."""
-        base = self.quality.ladder[0].psnr_db
+        """``codec`` with this order and step, and without the layers that the order leaves out."""
+        base, quantiser = self.quality.ladder[0].psnr_db, codec.quantiser.cut(depths_at(self.order, len(self.order)))
         measured = replace(codec, lod_order=self.order, lod_gains_db=self.gains_db, base_psnr_db=base)
+        measured = replace(measured, quantiser=quantiser)
         return replace(measured, position_step=self.position_step)
 
 
@@ -80,10 +90,12 @@ def measure(
     tell: Callable[[int, int], None],
     *,
     still: NDArray[np.bool_] | None = None,
+    later: Iterable[Splats] = (),
 ) -> LodMeasurement:
     """The best LoD order of ``codec`` for ``splats`` [n] seen by ``cameras``, and the gain of each level.
 
-    The step of positions becomes as fine as those of ``still`` [n] splats need; None: it stays the codec's.
+    The step of positions becomes as fine as those of ``still`` [n] splats need; None: it stays the codec's. The order
+    ends where no error is left to see, neither in ``splats`` nor in ``later`` frames.
     """
     trial = _Trial(codec, splats, cameras, rasteriser)
     if still is not None:
@@ -102,6 +114,8 @@ def measure(
     cut = {(name, layer): look({**full, name: layer}) for name, layer in layers}
     order = cheapest_first({at: seen.error for at, seen in cut.items()}, best.error, full, sizes)
     levels = [look(depths_at(order, lod)) for lod in range(len(order) + 1)]
+    kept = _enough(order, levels, later, lambda frame: _Trial(codec, frame, cameras, rasteriser))
+    order, levels = order[:kept], levels[: kept + 1]
     errors = np.array([seen.error for seen in levels])
     gains = tuple(round(float(gain), 4) for gain in 10 * np.log10(errors[:-1] / errors[1:]))
     alone = [
@@ -117,6 +131,21 @@ def measure(
         for lod, (total, seen) in enumerate(zip(np.cumsum(added), levels, strict=True))
     ]
     return LodMeasurement(order, gains, LodQuality(tuple(alone), tuple(ladder)), trial.position_step)
+
+
+def _enough(
+    order: Sequence[LodLayer], levels: Sequence[_Seen], later: Iterable[Splats], trial: Callable[[Splats], _Trial]
+) -> int:
+    """How much of ``order`` leaves no error to see: neither in the frame that shows ``levels``, nor in ``later`` ones,
+    which are not drawn where the first frame needs everything.
+    """
+    kept = next(lod for lod, seen in enumerate(levels) if seen.error <= max(ENOUGH, NOTHING * levels[-1].error))
+    for splats in later if kept < len(order) else ():
+        shown = trial(splats)
+        enough = max(ENOUGH, NOTHING * shown.look(depths_at(order, len(order))).error)
+        while kept < len(order) and shown.look(depths_at(order, kept)).error > enough:
+            kept += 1
+    return kept
 
 
 def standing(splats: Splats, later: Splats, codec: SvqCodec) -> NDArray[np.bool_]:

@@ -277,7 +277,8 @@ class _Encoding:
         def tell(done: int, total: int) -> None:
             self._tell("order", done, total)
 
-        found = measure(codec, first, cameras, rasteriser, tell, still=still)
+        later = (self._source.frame(at) for at in sorted({self._count // 2, self._count - 1} - {0}))
+        found = measure(codec, first, cameras, rasteriser, tell, still=still, later=later)
         self._still = standing_still(self._source.frame, self._count, cameras, rasteriser)
         if self._journal:
             order_note = [[item.attribute, item.layer] for item in found.order]

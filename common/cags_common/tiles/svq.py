@@ -86,6 +86,13 @@ class Codebook:
         """Bits of a code that holds the first ``layers`` layers."""
         return sum(self.layer_bits[:layers])
 
+    def cut(self, layers: int) -> Codebook:
+        """The codebook of codes that hold the first ``layers`` layers (1 = base only) and no more."""
+        bits, tables = self.layer_bits[:layers], self.tables[:layers]
+        if layers <= self.first_stage:
+            return Codebook(self.attribute, bits, tables)
+        return Codebook(self.attribute, bits, tables, self.tree_layers, self.spreads)
+
     def lookup(self, codes: U32, layers: int) -> F32:
         """Values [n, dim] of codes [n] that hold the first ``layers`` (1 = base only) layers' bits."""
         table, tree = self.tables[layers - 1], self.first_stage

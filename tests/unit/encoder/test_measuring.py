@@ -12,7 +12,7 @@ from cags_common.bundle.quality import LodQuality
 from cags_common.raster import create
 from cags_common.splats import Splats
 from cags_common.tiles.lod import LodLayer, check_order
-from cags_encoder import EncodeSettings
+from cags_encoder import EncodeSettings, measuring
 from cags_encoder.codecs.svq import SvqCodec
 from cags_encoder.measuring import LodMeasurement, cheapest_first, measure, standing, standing_still
 from cags_encoder.scenes import Focus
@@ -139,3 +139,50 @@ def test_a_measured_order_is_complete_and_its_gains_add_up() -> None:
     assert ladder[-1].psnr_db == max(row.psnr_db for row in alone), "all layers of all attributes"
     assert ladder[-1].ssim > ladder[0].ssim and ladder[-1].size_bytes > ladder[0].size_bytes > 0
     assert LodQuality.from_json(found.quality.to_json()) == found.quality
+
+
+def _balls(n: int, seed: int) -> Splats:
+    """Opaque balls of nearly one size and colour: no rotation shows."""
+    splats, sizes = cloud(n, seed), np.random.default_rng(seed).normal(-3, 0.05, n).astype(np.float32)
+    return replace(
+        splats,
+        log_scales=np.repeat(sizes[:, None], 3, axis=1),
+        logit_opacities=np.full(n, 20, np.float32),
+        sh0=splats.sh0 * np.float32(0.05),
+    )
+
+
+@pytest.mark.parametrize("enough_db", [50.0, 65.0])
+def test_no_level_is_made_that_nobody_can_see(enough_db: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a smaller bound than the program's, because all levels together show these balls at 57 dB."""
+    monkeypatch.setattr(measuring, "ENOUGH", 10 ** (-enough_db / 10))
+    rasteriser = create("auto")
+    if rasteriser.name == "oracle":
+        pytest.skip("the native kernels are not installed; measuring needs dozens of renders")
+    splats = _balls(800, 1)
+    long = replace(_balls(800, 2), log_scales=cloud(800, 2).log_scales + 1)
+    codec = SvqCodec.train(Splats.concatenate([splats, long]), EncodeSettings())
+    cameras = cameras_around(Focus((0, 0, 0), 2.0), (0, 1, 0), 2)
+
+    def measured(*later: Splats) -> LodMeasurement:
+        return measure(codec, splats, cameras, rasteriser, lambda *_: None, later=later)
+
+    found = measured()
+    ladder_db = [row.psnr_db for row in found.quality.ladder]
+    assert 0 < len(found.order) < len(codec.lod_order)
+    if enough_db == 50:
+        assert ladder_db[-1] >= enough_db > ladder_db[-2], "the first level that leaves nothing to see is the last"
+    else:
+        assert ladder_db[-2] + 0.01 < ladder_db[-1] < enough_db, "what is left out would show nothing more"
+    assert not any(item.attribute == "rotation" for item in found.order), "balls look the same however they are turned"
+    kept = {book.attribute: book.enhancement_layers for book in found.applied(codec).quantiser.books}
+    check_order(found.order, kept)
+    shorter, whole = found.applied(codec), codec.quantise(codec.prepare(splats)).codes
+    for book in codec.quantiser.books:
+        name, layers = book.attribute, 1 + kept[book.attribute]
+        codes = shorter.quantise(shorter.prepare(splats)).codes[name]
+        np.testing.assert_array_equal(codes, book.prefix(whole[name], layers))
+        np.testing.assert_array_equal(shorter.quantiser.books[name].lookup(codes, layers), book.lookup(codes, layers))
+
+    assert measured(splats).order == found.order
+    assert len(measured(long).order) > len(found.order), "a later frame that needs more levels has them"

@@ -4,6 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from cags_common.coding.packing import gzip_bytes
 from cags_common.errors import DecodeError
@@ -104,3 +106,23 @@ def test_codebooks_that_are_not_whole_are_refused(change: Callable[[bytes], byte
     assert CodebookSet.from_bytes(serialised(data, lambda body: body)).to_bytes() == data
     with pytest.raises(DecodeError, match=words):
         CodebookSet.from_bytes(serialised(data, change))
+
+
+@given(st.integers(1, 5), st.booleans(), st.integers(0, 2**31 - 1))
+def test_a_codebook_that_is_cut_reads_shorter_codes_as_the_whole_one_does(
+    layers: int, two_trees: bool, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    bits, tree = (3, 1, 2, 2, 1), 2 if two_trees else 5
+    sizes = [*np.cumsum(bits[:tree]), *np.cumsum(bits[tree:])]
+    tables = tuple(random.normal(size=(1 << int(size), 3)).astype(np.float32) for size in sizes)
+    spreads = random.uniform(0.1, 1, (1 << sum(bits[:tree]), 3)).astype(np.float32) if two_trees else None
+    whole = Codebook("scale", bits, tables, tree if two_trees else None, spreads)
+    cut = whole.cut(layers)
+    codes = whole.prefix(random.integers(0, 1 << sum(bits), 50).astype(np.uint32), layers)
+    assert cut.enhancement_layers == layers - 1
+    for held in range(1, layers + 1):
+        shorter = cut.prefix(codes, held)
+        np.testing.assert_array_equal(cut.lookup(shorter, held), whole.lookup(shorter, held))
+    again = CodebookSet.from_bytes(CodebookSet({"scale": cut}).to_bytes())["scale"]
+    np.testing.assert_array_equal(again.lookup(codes, layers), whole.lookup(codes, layers))
