@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -28,7 +28,15 @@ from cags_encoder.execution.executors import open_workers
 from cags_encoder.scenes import FrameSource, open_scene
 from cags_encoder.views import cameras_around
 
-WHOLE, TRACKS = "none", "tracks"
+WHOLE, TRACKS, SHORT = "none", "tracks", "none, levels that show"
+WAYS = {
+    WHOLE: EncodeSettings(motion="none", lod_order="paper"),
+    TRACKS: EncodeSettings(),
+    SHORT: EncodeSettings(motion="none"),
+}
+"""Whole splats with every level, as in the paper, motion apart, and whole splats without the levels that show nothing,
+where there are any.
+"""
 TIMED_SPLATS = 60_000
 
 
@@ -37,9 +45,9 @@ def measure(settings: MotionSettings) -> Iterator[JsonObject]:
     lines, checks = [], list[JsonObject]()
     if "rates" in settings.part_list:
         for scene in settings.scene_list:
-            for way in (WHOLE, TRACKS) if settings.whole else (TRACKS,):
-                lines.append(_encoded(scene, way, settings))
-                yield lines[-1]
+            for line in _rates(scene, settings):
+                lines.append(line)
+                yield line
     if "times" in settings.part_list:
         times = evaluation_times(settings)
         yield times
@@ -58,13 +66,24 @@ def measure(settings: MotionSettings) -> Iterator[JsonObject]:
     yield summary("motion", checks)
 
 
+def _rates(scene: str, settings: MotionSettings) -> Iterator[JsonObject]:
+    """Every way to code ``scene`` that is to be measured."""
+    whole = _encoded(scene, WHOLE, settings) if settings.whole else None
+    if whole is not None:
+        yield whole
+    tracks = _encoded(scene, TRACKS, settings)
+    yield tracks
+    if whole is not None and tracks["levels"] < whole["levels"]:
+        yield _encoded(scene, SHORT, settings)
+
+
 def _encoded(scene: str, way: str, settings: MotionSettings) -> JsonObject:
     """Encode ``scene`` and measure bytes and quality."""
     source = open_scene(scene)
     with tempfile.TemporaryDirectory(prefix="cags-motion-") as folder, open_workers(settings.workers) as workers:
         url, started = str(Path(folder) / "clip.cags"), time.perf_counter()
         frames = min(settings.frames, len(source))
-        encode(source, EncodeSettings(frames=frames, motion=way), url, workers=workers)
+        encode(source, replace(WAYS[way], frames=frames), url, workers=workers)
         seconds = time.perf_counter() - started
         with BundleReader.open(url) as reader:
             return {
@@ -74,6 +93,7 @@ def _encoded(scene: str, way: str, settings: MotionSettings) -> JsonObject:
                 "way": way,
                 "seed": 0,
                 "frames": frames,
+                "levels": reader.manifest.lods,
                 "groups": len(reader.manifest.gof_starts),
                 "encode_s": round(seconds, 2),
                 **frame_bytes(reader),
@@ -155,7 +175,7 @@ def evaluation_times(settings: MotionSettings) -> JsonObject:
 
 @dataclass(frozen=True)
 class _Pair:
-    """Results of one scene with both codings."""
+    """Results of one scene with whole splats and with motion apart."""
 
     scene: str
     whole: JsonObject
@@ -178,6 +198,10 @@ def _checks(lines: list[JsonObject]) -> list[JsonObject]:
     out: list[JsonObject] = []
     for pair in pairs:
         out += _pair_checks(pair)
+        if (pair.scene, SHORT) in by:
+            fewer = round(_Pair(pair.scene, by[pair.scene, SHORT], pair.tracks).fewer, 2)
+            name = f"{pair.scene}: times fewer bytes than whole splats of the levels that show"
+            out.append(check(name, "> 1", fewer, fewer > 1))
     for (scene, way), line in by.items():
         out += _upload_checks(scene, line) if way == TRACKS else []
         ordered = by.get((scene.replace(f",{DISGUISE}", "").replace(f":{DISGUISE}", ""), TRACKS))
