@@ -11,7 +11,7 @@ from pathlib import Path
 from cags_common.bundle.store import local_path
 from cags_encoder.settings import EncodeSettings
 
-ENCODER_VERSION = 25
+ENCODER_VERSION = 26
 """Increased whenever the same input gives other bytes."""
 
 

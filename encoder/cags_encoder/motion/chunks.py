@@ -51,11 +51,6 @@ BASE_LEVELS = 3
 COARSE = (LEVELS - BASE_LEVELS) * (REFINEMENT.bit_length() - 1)
 """Halvings from which on a coarser level precedes the base. It is not coarser than a standard deviation either."""
 
-SPARE_OF_COARSE = 1.4
-"""By how much more may be spared there: pictures are good from the base on, and what the last bits of motion add is
-below a display's rounding.
-"""
-
 
 @dataclass(frozen=True, eq=False)
 class TrackSpan:
@@ -134,9 +129,8 @@ def exactness(values: F64, present: NDArray[np.bool_], tolerance: Tolerance, *, 
     def found(levels: int) -> Exactness:
         return Exactness(finer, levels + 1, coarse) if coarse else Exactness(finer + COARSE, levels)
 
-    spare = tolerance.spare * (SPARE_OF_COARSE if coarse else 1.0)
     for level in range(BASE_LEVELS - 1):
-        if error(finer, level) <= spare:
+        if error(finer, level) <= tolerance.spare:
             return found(level + 1)
     while finer < most and error(finer, BASE_LEVELS - 1) > tolerance.top:
         finer += 1
