@@ -93,7 +93,8 @@ class StillCase:
 
 def encoding(scene: str, quantiser: str) -> Encoding:
     """The first frame of ``scene``."""
-    return Encoding(scene, EncodeSettings(frames=1, quantiser=quantiser))
+    order = "measured" if quantiser == DEFAULT else "paper"  # every level of the paper's, seen or not
+    return Encoding(scene, EncodeSettings(frames=1, quantiser=quantiser, lod_order=order))
 
 
 @dataclass(frozen=True)
