@@ -7,9 +7,9 @@ because chunks of motion refine their positions; therefore gains of layers are m
 
 For the order, the first frame is drawn from a few views for every attribute and number of its layers, with all layers
 of the other attributes. Squared errors of attributes nearly add up, so choosing the largest reduction per byte next is
-nearly optimal. The gain of each level is then measured along that order, which ends where nothing that a display shows
-is left to gain, in this frame and in later ones. Unlike in the paper no restoration is applied,
-because the client's restorer and references are not known here.
+nearly optimal. The gain of each level is then measured along that order, which ends where
+no visible error is left, in this frame and in later ones. Unlike in the paper no restoration is applied, because the
+client's restorer and references are not known here.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ POSITIONS_SHARE = 0.5
 """Largest error of a patch by rounded positions, as a share of that by looks with every layer."""
 
 ENOUGH = 10 ** (-65.0 / 10)
-"""Squared error with which no level follows. A display of 8 bits rounds by four times as much (58.9 dB)."""
+"""Squared error at which the ladder ends. The rounding of an 8-bit display is four times as large (58.9 dB)."""
 
-NOTHING = 1.001
-"""Squared error, relative to that with all levels, with which none follows: the others show nothing, as rotations of
-balls.
+NO_GAIN = 1.001
+"""Ratio to the squared error of all levels at which the ladder ends, too: the remaining levels change no picture, like
+rotations of balls.
 """
 
 UNSEEN = 10 ** (-45.0 / 10)
@@ -75,8 +75,11 @@ class LodMeasurement:
     position_step: float
 
     def applied(self, codec: SvqCodec) -> SvqCodec:
-        """``codec`` with this order and step, and without the layers that the order leaves out."""
-        base, quantiser = self.quality.ladder[0].psnr_db, codec.quantiser.cut(depths_at(self.order, len(self.order)))
+        """``codec`` with this order and step, without the layers that the order leaves out."""
+        base, quantiser = (
+            self.quality.ladder[0].psnr_db,
+            codec.quantiser.truncated(depths_at(self.order, len(self.order))),
+        )
         measured = replace(codec, lod_order=self.order, lod_gains_db=self.gains_db, base_psnr_db=base)
         measured = replace(measured, quantiser=quantiser)
         return replace(measured, position_step=self.position_step)
@@ -95,7 +98,7 @@ def measure(
     """The best LoD order of ``codec`` for ``splats`` [n] seen by ``cameras``, and the gain of each level.
 
     The step of positions becomes as fine as those of ``still`` [n] splats need; None: it stays the codec's. The order
-    ends where no error is left to see, neither in ``splats`` nor in ``later`` frames.
+    ends where no visible error is left, in ``splats`` and in ``later`` frames.
     """
     trial = _Trial(codec, splats, cameras, rasteriser)
     if still is not None:
@@ -136,13 +139,13 @@ def measure(
 def _enough(
     order: Sequence[LodLayer], levels: Sequence[_Seen], later: Iterable[Splats], trial: Callable[[Splats], _Trial]
 ) -> int:
-    """How much of ``order`` leaves no error to see: neither in the frame that shows ``levels``, nor in ``later`` ones,
-    which are not drawn where the first frame needs everything.
+    """Number of levels of ``order`` after which no visible error is left: in the first frame, whose ``levels`` are
+    given, and in ``later`` ones. Those are not drawn if the first frame needs every level.
     """
-    kept = next(lod for lod, seen in enumerate(levels) if seen.error <= max(ENOUGH, NOTHING * levels[-1].error))
+    kept = next(lod for lod, seen in enumerate(levels) if seen.error <= max(ENOUGH, NO_GAIN * levels[-1].error))
     for splats in later if kept < len(order) else ():
         shown = trial(splats)
-        enough = max(ENOUGH, NOTHING * shown.look(depths_at(order, len(order))).error)
+        enough = max(ENOUGH, NO_GAIN * shown.look(depths_at(order, len(order))).error)
         while kept < len(order) and shown.look(depths_at(order, kept)).error > enough:
             kept += 1
     return kept

@@ -25,7 +25,7 @@ class Recording:
 def submitted(workspace: Workspace, record: Callable[[Recording], Outputs]) -> list[NDArray[np.uint8]]:
     """Record, submit and read back; again with larger buffers where there were more entries than room for them.
 
-    What is returned is the caller's own.
+    The arrays belong to the caller.
 
     ``record`` puts any number of frames into the recording; it may be called more than once.
     """
@@ -62,7 +62,7 @@ def _read(workspace: Workspace, recording: Recording, wanted: Outputs) -> list[N
     workspace.gpu.device.queue.submit([recording.encoder.finish()])
     through.map_sync(wgpu.MapMode.READ, 0, total)
     try:
-        # copied by numpy: its large arrays come in large pages, which are touched for the first time much faster
+        # numpy copies, because its large arrays use huge pages, which makes their first use much faster
         everything = np.frombuffer(through.read_mapped(0, total, copy=False), np.uint8).copy()
     finally:
         through.unmap()

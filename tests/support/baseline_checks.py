@@ -35,8 +35,8 @@ BEGUN, BEGINNING_DB = 6, 40.0
 """Frames that are shown within the lead of the first plan; one of them may be shown without its own changes."""
 
 LONG_FRAMES = 40
-"""Frames of a play at a natural pace that is more than its beginning. Ten are shown within the first leads, and pass
-the whole of the scene's motion in a third of a second."""
+"""Frames of a longer play, at a natural pace. Ten frames all fall within the start of a play, and squeeze the scene's
+whole motion into a third of a second."""
 
 VIDEO_DB = 24.0
 """What remote rendering shows of a scene that is all fine detail, over any link that carries it: a video of so many
@@ -78,8 +78,8 @@ class Decoded:
 def play(
     method: Method, cache: str, *, link: str = UNLIMITED, poses: str = "synthetic:walking", frames: int = FRAMES
 ) -> Played:
-    """Play the small scene by ``method``; its encodings are kept in ``cache``. The scene moves as far in ``frames``,
-    however few they are."""
+    """Play the small scene by ``method``; its encodings are kept in ``cache``. The scene makes the same
+    movement however few ``frames`` there are."""
     bundle = cached_bundle(SCENE.format(frames=frames), cache, _encoding(method, frames), progress=False)
     decoded, out = Decoded(bundle), Played()
     before: list[F32] = []

@@ -34,8 +34,8 @@ WAYS = {
     TRACKS: EncodeSettings(),
     SHORT: EncodeSettings(motion="none"),
 }
-"""Whole splats with every level, as in the paper, motion apart, and whole splats without the levels that show nothing,
-where there are any.
+"""Whole splats with every level, as in the paper; motion apart; and whole splats with visible levels alone, for scenes
+whose ladder ends early.
 """
 TIMED_SPLATS = 60_000
 
@@ -67,7 +67,7 @@ def measure(settings: MotionSettings) -> Iterator[JsonObject]:
 
 
 def _rates(scene: str, settings: MotionSettings) -> Iterator[JsonObject]:
-    """Every way to code ``scene`` that is to be measured."""
+    """Lines of each way to code ``scene``."""
     whole = _encoded(scene, WHOLE, settings) if settings.whole else None
     if whole is not None:
         yield whole

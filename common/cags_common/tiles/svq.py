@@ -86,8 +86,8 @@ class Codebook:
         """Bits of a code that holds the first ``layers`` layers."""
         return sum(self.layer_bits[:layers])
 
-    def cut(self, layers: int) -> Codebook:
-        """The codebook of codes that hold the first ``layers`` layers (1 = base only) and no more."""
+    def truncated(self, layers: int) -> Codebook:
+        """The codebook for codes that end after their first ``layers`` layers (1 = base only)."""
         bits, tables = self.layer_bits[:layers], self.tables[:layers]
         if layers <= self.first_stage:
             return Codebook(self.attribute, bits, tables)

@@ -31,12 +31,12 @@ class AttributeEncoder(Protocol):
         ...
 
 
-class _Shorter:
-    """An encoder whose codes end after some layers."""
+class _Truncated:
+    """An encoder whose codes end after their first ``layers`` layers."""
 
     def __init__(self, whole: AttributeEncoder, layers: int) -> None:
         self._whole, self._layers = whole, layers
-        self.book = whole.book.cut(layers)
+        self.book = whole.book.truncated(layers)
 
     def encode(self, values: F32) -> U32:
         """Codes [n] of raw values [n, dim]."""
@@ -60,10 +60,12 @@ class Quantiser:
         values = split_attributes(prepared)
         return {name: encoder.encode(values[name]) for name, encoder in self._encoders.items()}
 
-    def cut(self, enhancement_layers: Mapping[str, int]) -> Quantiser:
-        """The same with so many enhancement layers of each attribute: 0 of those that are not named."""
-        shorter = {name: _Shorter(each, 1 + enhancement_layers.get(name, 0)) for name, each in self._encoders.items()}
-        return Quantiser(shorter, canonical_axes=self.canonical_axes)
+    def truncated(self, enhancement_layers: Mapping[str, int]) -> Quantiser:
+        """The same quantiser with fewer enhancement layers: as many as are given by attribute, otherwise none."""
+        encoders = {
+            name: _Truncated(each, 1 + enhancement_layers.get(name, 0)) for name, each in self._encoders.items()
+        }
+        return Quantiser(encoders, canonical_axes=self.canonical_axes)
 
     def decode(self, codes: dict[str, U32]) -> dict[str, F32]:
         """Attribute -> values [n, dim], as decoded with every layer."""

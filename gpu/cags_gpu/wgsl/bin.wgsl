@@ -11,7 +11,7 @@
 @group(0) @binding(8) var<storage, read_write> entry_value: array<u32>;
 @group(0) @binding(9) var<storage, read_write> slot_splat: array<u32>;
 override SLOTS: bool = false;
-const BLOCK = 256u;      // splats of a workgroup, one a thread: a splat may touch thousands of tiles, and each is an entry
+const BLOCK = 256u;      // splats of a workgroup: one per thread, because a large splat writes thousands of entries
 const SORTED = 2048u;    // entries of a workgroup of the sort
 var<workgroup> part: array<u32, 256>;
 

@@ -734,7 +734,7 @@ class Streamer:
 
     @property
     def _sends_anew(self) -> bool:
-        """Whether the bundle sends what changes anew for every frame, as it has no motion."""
+        """Whether changed splats are sent again in every frame, because the bundle has no motion."""
         return self._library.manifest.motion is None
 
     def _is_behind(self, now_us: int) -> bool:

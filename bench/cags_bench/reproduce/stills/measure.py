@@ -93,7 +93,9 @@ class StillCase:
 
 def encoding(scene: str, quantiser: str) -> Encoding:
     """The first frame of ``scene``."""
-    order = "measured" if quantiser == DEFAULT else "paper"  # every level of the paper's, seen or not
+    order = (
+        "measured" if quantiser == DEFAULT else "paper"
+    )  # not measured: the paper's have every level, visible or not
     return Encoding(scene, EncodeSettings(frames=1, quantiser=quantiser, lod_order=order))
 
 

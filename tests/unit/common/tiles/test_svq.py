@@ -109,7 +109,7 @@ def test_codebooks_that_are_not_whole_are_refused(change: Callable[[bytes], byte
 
 
 @given(st.integers(1, 5), st.booleans(), st.integers(0, 2**31 - 1))
-def test_a_codebook_that_is_cut_reads_shorter_codes_as_the_whole_one_does(
+def test_a_truncated_codebook_reads_shorter_codes_as_the_whole_one_does(
     layers: int, two_trees: bool, seed: int
 ) -> None:
     random = np.random.default_rng(seed)
@@ -118,7 +118,7 @@ def test_a_codebook_that_is_cut_reads_shorter_codes_as_the_whole_one_does(
     tables = tuple(random.normal(size=(1 << int(size), 3)).astype(np.float32) for size in sizes)
     spreads = random.uniform(0.1, 1, (1 << sum(bits[:tree]), 3)).astype(np.float32) if two_trees else None
     whole = Codebook("scale", bits, tables, tree if two_trees else None, spreads)
-    cut = whole.cut(layers)
+    cut = whole.truncated(layers)
     codes = whole.prefix(random.integers(0, 1 << sum(bits), 50).astype(np.uint32), layers)
     assert cut.enhancement_layers == layers - 1
     for held in range(1, layers + 1):
