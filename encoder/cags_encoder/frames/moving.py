@@ -313,13 +313,12 @@ class MovingGroups:
         track.next = frame + length
         logits = self._held.take(track.ids).logit_opacities if self._held is not None else np.zeros(0, np.float32)
         fades = self._fades(track, window, drawn(logits))
-        lives = self._lives(window)
-        if fades is None and lives is None and not track.fades and self._is_still(track, window):
+        if fades is None and not window.ends() and not track.fades and self._is_still(track, window):
             return None
         track.end, track.fades = window.last(), fades is not None
         return TrackSpan(
             *(track.key, window.means, window.quats, window.present, track.anchors, track.quats),
-            *(track.steps, track.round, later or track.refined, lives, fades, self._tolerated),
+            *(track.steps, track.round, later or track.refined, self._lives(window), fades, self._tolerated),
         )
 
     def _moving_share(self, frame: int) -> float:
@@ -335,8 +334,6 @@ class MovingGroups:
     def _is_still(self, track: _Track, window: Window) -> bool:
         """Whether the tile looks right without a chunk for these frames."""
         if track.end is not None:
-            if not np.array_equal(track.end.present[0], window.present[0]):
-                return False
             means, quats = track.end.means[0], track.end.quats[0]
         else:
             means, quats = track.anchors, track.quats

@@ -43,7 +43,9 @@ LEAST_UNITS = 0.5
 """Smaller residuals round to zero."""
 
 MOST_UNITS = float(1 << 23)
-"""Largest residual, in finest units; with larger motion a splat counts as another one."""
+"""Largest residual, in finest units. Splats do not get further from their looks, because they count as others first
+(:data:`cags_encoder.tracks.placing.FARTHEST`); lines that continue the motion of splats that have ended may.
+"""
 
 BASE_LEVELS = 3
 """Levels from the base on: 1, 1/4 and 1/16 of a standard deviation, halved together as often as a chunk needs."""
@@ -109,10 +111,10 @@ def exactness(values: F64, present: NDArray[np.bool_], tolerance: Tolerance, *, 
 
     The base is level 0, or level 1 if it is so exact that a coarser level is worth having.
     """
+    largest = float(np.abs(values).max(where=present[:, :, None], initial=1.0))
     rows = np.flatnonzero(present.any(axis=0))
     rows = rows[:: max(1, len(rows) // JUDGED)]
     values, present = values[:, rows], present[:, rows]
-    largest = float(np.abs(values).max(initial=1.0))
     most = int(np.clip(np.log2(MOST_UNITS / largest) - COARSE, 0, MAX_FINER - COARSE))
 
     def error(finer: int, level: int) -> float:

@@ -36,6 +36,10 @@ class Window:
     opacities: F32  # [frames, n]
     present: NDArray[np.bool_]  # [frames, n] alive since the first frame
 
+    def ends(self) -> bool:
+        """Whether any splat that is there at first has gone by the last frame."""
+        return not np.array_equal(self.present[0], self.present[-1])
+
     def last(self) -> Window:
         """The last frame of the window."""
         return Window(self.means[-1:], self.quats[-1:], self.opacities[-1:], self.present[-1:])

@@ -87,8 +87,10 @@ def _lasting(
     weight: F64,
 ) -> tuple[F32, F64]:
     """:func:`lasting` for one column ``now`` [n, ...], its ``changes`` and the opacities ``weight`` [n]: values, and
-    tolerances [n].
+    tolerances [n]. Without a tolerance (``most`` of 0) nothing but the present values will do.
     """
+    if most <= 0:
+        return now, np.zeros(len(now))
     differs = np.zeros(len(now), bool)
     for values, rows, _ in changes:
         differs[rows] |= (values != now[rows]).any(axis=tuple(range(1, now.ndim)))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cags_common.bundle import SourceDelta
 from cags_common.bundle.tracks import TrackStatistics
-from cags_common.geometry import F64, axis_bounds
+from cags_common.geometry import F32, F64, axis_bounds
 from cags_common.splats import Ids, Splats
 from cags_common.tiles.morton import morton_order
 from cags_encoder.sampling import check_degree
@@ -55,8 +55,13 @@ class Placed:
 ROOM = 2.0
 """Largest number of ids for each living splat. With more free ids, those of new splats lie closer together."""
 
-FASTEST = 1e4
-"""Largest displacement between two frames, in sizes of the splat; beyond, it counts as another splat."""
+FARTHEST = 4096.0
+"""Largest distance from where a splat began, in sizes of the splat; beyond, it counts as another splat. Motion is
+relative to the looks, so its numbers grow with that distance, and the accuracy of the splat's tile falls.
+"""
+
+SPECK = 25.0
+"""Percentile of all sizes. Smaller splats count as having this size, as units of motion do."""
 
 
 class ClipPlacer:
@@ -96,6 +101,8 @@ class Placer:
 
     def __init__(self) -> None:
         self._table: SplatTable | None = None
+        self._began: F32 = np.zeros((0, 3), np.float32)  # [capacity, 3] positions of births
+        self._least = 0.0  # size of specks
         self._identities: NDArray[np.int64] = np.zeros(0, np.int64)
         self._free: NDArray[np.int64] = np.zeros(0, np.int64)
 
@@ -115,6 +122,7 @@ class Placer:
             order = morton_order(splats.means)
             splats, self._identities = splats.take(order), identities[order]
             self._table = SplatTable(splats)
+            self._began, self._least = splats.means.copy(), float(np.percentile(_sizes(splats), SPECK))
             every = np.ones(len(splats), bool)
             return SourceDelta(np.arange(len(splats), dtype=np.int32), splats, np.zeros(0, np.int32)), every, every
         ids, removed = self._ids(identities, splats)
@@ -126,6 +134,7 @@ class Placer:
         self._table.alive[removed] = False
         delta = SourceDelta(ids[differing], splats.take(differing), removed)
         self._table.put(delta.ids, delta.splats)
+        self._begin(ids[new], splats.means[new])
         return delta, new[differing], looks[differing]
 
     def _ids(self, identities: NDArray[np.int64], splats: Splats) -> tuple[Ids, Ids]:
@@ -135,7 +144,7 @@ class Placer:
         at = lookup[np.minimum(at, len(lookup) - 1)]
         assert self._table is not None
         known = self._identities[at] == identities
-        known[known] = ~self._jumps(at[known].astype(np.int32), splats.take(known))
+        known[known] = ~self._strays(at[known].astype(np.int32), splats.take(known))
         gone = self._table.alive.copy()
         gone[at[known]] = False
         removed = np.flatnonzero(gone).astype(np.int32)
@@ -150,13 +159,17 @@ class Placer:
         self._free = np.union1d(self._free, removed)
         return ids, removed
 
-    def _jumps(self, ids: Ids, splats: Splats) -> NDArray[np.bool_]:
-        """Whether each splat [n] is too far from where ``ids`` [n] were in the frame before."""
-        assert self._table is not None
-        away = np.abs(splats.means.astype(np.float64) - self._table.take(ids).means).max(axis=1)
-        size = np.exp(np.clip(splats.log_scales.astype(np.float64), -60, 60)).max(axis=1)
-        jumps: NDArray[np.bool_] = away > FASTEST * size
-        return jumps
+    def _begin(self, ids: Ids, means: F32) -> None:
+        """Note where new splats begin."""
+        more = max(int(ids.max(initial=-1)) + 1 - len(self._began), 0)
+        self._began = np.concatenate([self._began, np.zeros((more, 3), np.float32)])
+        self._began[ids] = means
+
+    def _strays(self, ids: Ids, splats: Splats) -> NDArray[np.bool_]:
+        """Whether each splat [n] is too far from where that of ``ids`` [n] began."""
+        away = np.abs(splats.means.astype(np.float64) - self._began[ids]).max(axis=1)
+        strays: NDArray[np.bool_] = away > FARTHEST * np.maximum(_sizes(splats), self._least)
+        return strays
 
     def _fresh_ids(self, count: int, alive: int) -> Ids:
         """Ids that went in earlier frames (never in this one: a client may apply its removals late), or new ones while
@@ -172,3 +185,9 @@ class Placer:
         chosen = ids[at : at + count]
         self._free = np.setdiff1d(self._free, chosen, assume_unique=True)
         return chosen.astype(np.int32)
+
+
+def _sizes(splats: Splats) -> F64:
+    """Standard deviations [n] along the middle axes."""
+    sizes: F64 = np.sort(np.exp(np.clip(splats.log_scales.astype(np.float64), -60, 60)), axis=1)[:, 1]
+    return sizes

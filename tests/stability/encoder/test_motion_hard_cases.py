@@ -87,6 +87,7 @@ CASES: dict[str, Clip] = {
     "slow and linear": clip(shifted(lambda k: np.array([0.003 * k, 0, 0]))),
     "far in one frame": clip(shifted(lambda k: np.array([5.0 * (k > 9), 0, 0]))),
     "a million sizes": clip(shifted(lambda k: np.array([2e4 * (k > 9), 0, 0]))),
+    "one leaves for good": clip(shifted(lambda k: np.where(np.arange(SPLATS)[:, None] == 1, 90.0 * k, 0.001 * k))),
     "back and forth": clip(shifted(lambda k: np.array([0.3 * (-1) ** k, 0.1 * (k % 3), 0]))),
     "spinning": clip(spun),
     "one place": clip(lambda first, k: with_changes(first, means=np.zeros_like(first.means) + np.float32(0.01 * k))),
@@ -152,6 +153,13 @@ def test_what_stands_still_sends_nothing(tmp_path: Path) -> None:
     encode(CASES["still"], FAST, str(tmp_path / "out"))
     with BundleReader.open(str(tmp_path / "out")) as reader:
         assert [len(reader.frame(k).tiles) for k in range(FRAMES)] == [1] + [0] * (FRAMES - 1)
+
+
+def test_splats_that_have_gone_cost_nothing_more(tmp_path: Path) -> None:
+    encode(clip(lambda first, k: first, lambda k: np.arange(SPLATS) >= (k > 2)), FAST, str(tmp_path / "out"))
+    with BundleReader.open(str(tmp_path / "out")) as reader:
+        assert [len(reader.frame(k).tiles) for k in range(FRAMES)] == [2] + [0] * (FRAMES - 1)
+        assert len(BundlePlayer(reader).frame(FRAMES - 1).ids) == SPLATS - 1
 
 
 def test_linear_motion_is_told_once_a_span(tmp_path: Path) -> None:

@@ -10,7 +10,9 @@ import pytest
 from cags_common.motion import chunk as chunks
 from cags_common.motion.apply import Steps
 from cags_common.motion.chunk import ChunkDecoder
-from cags_encoder.motion.chunks import STRAIGHT, TrackSpan, encode_span
+from cags_encoder.motion.chunks import JUDGED, STRAIGHT, TrackSpan, encode_span
+from cags_encoder.motion.steps import MOVE_STEP
+from cags_encoder.motion.tolerance import Tolerance, Tolerances
 
 SPAN, SPLATS, STEP = 16, 64, 0.01
 
@@ -59,3 +61,13 @@ def test_what_a_splat_is_off_when_it_comes_is_not_told() -> None:
 def test_a_short_life_needs_no_exact_end_of_the_span() -> None:
     long, short = (encode_span(drifting(np.full(20 * SPLATS, life), 0.0)).payloads for life in (SPAN + 1, 3))
     assert len(short[2]) < 0.25 * len(long[2])
+
+
+def test_a_splat_that_gets_far_is_not_stopped_though_few_are_judged() -> None:
+    splats, stray = 4 * JUDGED, 1
+    span = drifting(np.full(splats, SPAN + 1), 0.0, starts=True, tolerances=Tolerances(moves=Tolerance(1e-3, 1e-4, 0)))
+    span.means[:, stray] += np.linspace(0, 4096 * STEP / MOVE_STEP, SPAN + 1, dtype=np.float32)[:, None]
+    chunk = decoded(encode_span(span).payloads)
+    assert chunk.moves is not None
+    off = (span.means - span.anchors) / STEP - chunk.moves / 64 / 2 ** chunk.finer[0]
+    assert np.abs(off).max() <= STRAIGHT

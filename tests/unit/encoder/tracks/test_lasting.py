@@ -121,3 +121,10 @@ def test_a_scene_without_harmonics_has_none_to_tell() -> None:
     bare = [splats(grey(0.1 * at), sh_rest=np.zeros((N, 0, 3))) for at in range(4)]
     told = lasting(bare[0], np.arange(N), frames(bare[1:]), MOST)
     assert told.splats.sh_rest.shape == (N, 0, 3)
+
+
+def test_without_a_tolerance_the_present_values_are_told() -> None:
+    drift = [splats(grey(0.002 * at)) for at in range(4)]
+    told = lasting(drift[0], np.arange(N), frames(drift[1:]), 0.0)
+    assert np.array_equal(told.splats.sh0, drift[0].sh0)
+    assert all(not wrong.any() for wrong in told.wrong.values())

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from cags_encoder.tracks.placing import ROOM, Placer
-from support.codec_scenes import cloud
+from cags_encoder.tracks.placing import FARTHEST, ROOM, SPECK, Placer
+from support.codec_scenes import cloud, with_changes
 
 
 def test_ids_of_new_splats_lie_close_together_and_their_number_is_bounded() -> None:
@@ -22,3 +22,27 @@ def test_ids_of_new_splats_lie_close_together_and_their_number_is_bounded() -> N
     assert placer.capacity <= ROOM * count
     at_random = 1 / (1 - 1 / ROOM)
     assert np.mean(gaps) < 2.5 / 3 * at_random
+
+
+def test_who_gets_too_far_from_where_they_began_begins_anew() -> None:
+    first, traveller, speck = cloud(100, 1), 7, 8
+    scales = first.log_scales.copy()
+    scales[speck] = -30.0  # smaller than most, so it may go as far as they
+    first = with_changes(first, log_scales=scales)
+    size = np.exp(np.sort(first.log_scales, axis=1)[:, 1])
+    least = float(np.percentile(size, SPECK))
+    placer, born = Placer(), []
+    identity_of = np.zeros(0, np.int64)
+    for frame in range(6):
+        means = first.means.astype(np.float64)
+        means[traveller, 0] += 0.4 * FARTHEST * max(size[traveller], least) * frame
+        means[speck, 0] += 0.19 * FARTHEST * least * frame
+        delta, births, _ = placer.place(with_changes(first, means=means), np.arange(100))
+        if frame == 0:
+            identity_of = np.argsort(np.abs(delta.splats.means[:, None] - first.means[None]).sum(axis=2), axis=1)[:, 0]
+            continue
+        born.append(int(births.sum()))
+        assert len(delta.removed) == births.sum()
+        if births.any() and len(born) == 3:
+            assert identity_of[delta.removed[0]] == traveller
+    assert born == [0, 0, 1, 0, 0]
