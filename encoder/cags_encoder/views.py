@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Sequence
 
@@ -19,10 +20,32 @@ DISTANCES = (1.4, 2.2)
 HEIGHTS = (0.25, 0.25, 0.7)
 """Heights above the centre of successive views, relative to the horizontal distance."""
 
+RADII_OF_NEAR = 10
+"""Near planes that a scene's radius has, in scenes so small that the papers' near plane would cut them."""
+
+
+LEAST_PLAYED_NEAR = 1e-6
+"""Smallest near plane that a client may tell a server (:class:`cags_protocol.wire.messages.Hello`), in world units."""
+
+_log = logging.getLogger(__name__)
+
 
 def near_plane(focus: Focus) -> float:
-    """Near plane for a scene of this size."""
-    return min(DEFAULT_NEAR, float(focus.radius) / 10)
+    """Near plane for players of a scene of this size. Logs a warning for scenes too small to be played well."""
+    near = _near(focus)
+    if near < LEAST_PLAYED_NEAR:
+        _log.warning(
+            "scene of radius %.3g: players cut off what is nearer than %g; scale the scene to a radius of %g or more",
+            focus.radius,
+            LEAST_PLAYED_NEAR,
+            LEAST_PLAYED_NEAR * RADII_OF_NEAR,
+        )
+    return max(near, LEAST_PLAYED_NEAR)
+
+
+def _near(focus: Focus) -> float:
+    """Near plane before which no splat of interest lies in sensible views."""
+    return min(DEFAULT_NEAR, float(focus.radius) / RADII_OF_NEAR)
 
 
 def cameras_around(focus: Focus, up: Vec3, views: int, phase: float = 0.3) -> list[Camera]:
@@ -39,7 +62,7 @@ def cameras_around(focus: Focus, up: Vec3, views: int, phase: float = 0.3) -> li
         direction = math.cos(turn) * aside + math.sin(turn) * ahead + HEIGHTS[view % len(HEIGHTS)] * upward
         x, y, z = np.asarray(focus.centre) + focus.radius * DISTANCES[view % 2] * direction
         pose = Pose.looking_at((float(x), float(y), float(z)), focus.centre, up)
-        out.append(Camera(intrinsics, pose, near_plane(focus)))
+        out.append(Camera(intrinsics, pose, _near(focus)))
     return out
 
 

@@ -30,7 +30,7 @@ OF_THE_PAGE = {
     ("player/player", "cags_client.playback.interactive"): "SEEK_PATIENCE_US JUMP_US",
     ("player/player", "cags_protocol.wire.limits"): "MOST_SAMPLES=MAX_POSE_SAMPLES",
     ("player/startup", "cags_client.playback.startup"): "QUIET_US PREVIEW_EVERY_US",
-    ("player/camera", "cags_common.bundle.first_view"): "MARGIN BULK",
+    ("player/camera", "cags_common.bundle.first_view"): "MARGIN BULK LEAST_RADIUS LEAST_SHARE",
     ("playback/references", "cags_client.store.references"): "KEPT LATEST",
     ("playback/references", "cags_client.frame.pipeline"): "PATIENCE_FRAMES",
     ("source/reconnect", "cags_client.net.reconnect"): "FIRST_DELAY_US MAX_DELAY_US GROWTH JITTER",

@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 
 from cags_common.bundle.manifest import Manifest
-from cags_common.geometry import F64, Camera, Intrinsics, Pose
+from cags_common.bundle.view import AuthorView
+from cags_common.geometry import F64, Camera, Intrinsics, Pose, Vec3
 from cags_common.raster.base import DepthKind, RasterScene, RenderOptions
 
 WIDTH_PX, HEIGHT_PX = 480, 300
@@ -23,6 +24,10 @@ SURROUNDED, WITHIN = 1.3, 0.85
 """Bounds that reach so many radii behind the visitor are walls, and the view begins so much of the way to them."""
 BULK = 2.2
 """Radii from the scene's centre beyond which splats are background, and need not be in the first view."""
+LEAST_RADIUS = 1e-12
+"""Smallest radius of a scene, in its units: squares of it are still normal numbers in float32."""
+LEAST_SHARE = 2.0**-20
+"""Smallest radius relative to the centre's coordinates: a few steps of float32, which renderers hold positions in."""
 
 
 def first_camera(manifest: Manifest, width_px: int, height_px: int) -> Camera:
@@ -38,18 +43,16 @@ def first_camera(manifest: Manifest, width_px: int, height_px: int) -> Camera:
 def first_pose(manifest: Manifest, tan_x: float, tan_y: float) -> Pose:
     """T_world_camera of a first view with tangents ``tan_x`` and ``tan_y`` of half its angles."""
     forward, up = _forward(manifest)
-    view, focus = manifest.view, np.asarray(manifest.focus_centre)
-    radius = max(manifest.focus_radius, 1e-3)
-    if view is not None and (view.target is not None or view.radius is not None):
-        target = focus if view.target is None else np.asarray(view.target)
-        distance = _round(view.radius or radius, tan_x, tan_y)
-    elif (wall := _wall(manifest, -forward)) > SURROUNDED * radius:
-        target, distance = focus, min(_round(radius, tan_x, tan_y), WITHIN * wall)
-    else:
-        target, corners = _box(manifest, radius)
-        right = _unit(np.cross(forward, up))
-        x, y, z = ((corners - target) @ np.stack([right, np.cross(forward, right), forward]).T).T
-        distance = float(np.max(np.maximum(np.abs(x) / tan_x, np.abs(y) / tan_y) - z))
+    given = manifest.view or AuthorView()
+    target = np.asarray(manifest.focus_centre if given.target is None else given.target)
+    radius = max(given.radius or manifest.focus_radius, least_radius(_vec3(target)))
+    distance = _round(radius, tan_x, tan_y)
+    if given.target is None and given.radius is None:
+        wall = _wall(manifest, -forward)
+        if wall > SURROUNDED * radius:
+            distance = min(distance, WITHIN * wall)
+        else:
+            target, distance = _fitted(manifest, radius, (forward, up), (tan_x, tan_y)) or (target, distance)
     eye = target - distance * forward
     return Pose.looking_at(_vec3(eye), _vec3(target), _vec3(up))
 
@@ -64,6 +67,11 @@ def thumbnail(scene: RasterScene, manifest: Manifest) -> bytes:
     pixels = np.ascontiguousarray((rgb * 255 + 0.5).astype(np.uint8)[..., ::-1])
     _, data = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     return bytes(data)
+
+
+def least_radius(centre: Vec3) -> float:
+    """Radius of the smallest ball around ``centre`` that can be looked at, in the scene's units; positive."""
+    return max(LEAST_RADIUS, LEAST_SHARE * max(map(abs, centre)))
 
 
 def _forward(manifest: Manifest) -> tuple[F64, F64]:
@@ -87,6 +95,22 @@ def _wall(manifest: Manifest, away: F64) -> float:
     return float(known.min()) if len(known) else math.inf
 
 
+def _fitted(
+    manifest: Manifest, radius: float, axes: tuple[F64, F64], tangents: tuple[float, float]
+) -> tuple[F64, float] | None:
+    """Centre of the bounds, and from how far along the first of ``axes`` (forward, up) they are seen whole.
+
+    None where that is within the scene's ball. Bounds are of the splats' centres: of one splat, or of several at one
+    point, they have no extent, and the ball says how large the splats are.
+    """
+    forward, up = axes
+    target, corners = _box(manifest, radius)
+    right = _unit(np.cross(forward, up))
+    x, y, z = ((corners - target) @ np.stack([right, np.cross(forward, right), forward]).T).T
+    distance = float(np.max(np.maximum(np.abs(x) / tangents[0], np.abs(y) / tangents[1]) - z))
+    return (target, distance) if distance >= radius else None
+
+
 def _box(manifest: Manifest, radius: float) -> tuple[F64, F64]:
     """Centre and corners [8, 3] of the bounds, without what lies far from the scene's centre."""
     low, high = np.asarray(manifest.bounds)
@@ -99,6 +123,6 @@ def _unit(vector: F64) -> F64:
     return vector / np.linalg.norm(vector)
 
 
-def _vec3(vector: F64) -> tuple[float, float, float]:
+def _vec3(vector: F64) -> Vec3:
     x, y, z = (float(part) for part in vector)
     return x, y, z

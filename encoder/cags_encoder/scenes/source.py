@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from cags_common.bundle.first_view import least_radius
 from cags_common.geometry import F64, Vec3
 from cags_common.splats import Ids, Splats
 
@@ -15,6 +16,12 @@ DEFAULT_FPS = 30.0
 
 MAX_FRAMES = 100_000
 """Largest number of frames of a scene (55 minutes at 30 fps)."""
+
+SEEN_SIGMAS = 3.0
+"""Standard deviations from its centre to where a splat is hardly seen any more."""
+
+LARGEST_LOG_SCALE = 25.0
+"""Larger standard deviations (logarithm) count as this one, so that the ball's radius is one that bundles may have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,8 +81,9 @@ def focus_of(splats: Splats) -> Focus:
     """A robust ball around the bulk of ``splats``.
 
     Splats are weighted by opacity. On each axis, the centre is halfway between the first and the last decile; the
-    radius encloses four fifths of the weight. Regions of interest have many splats, so single floaters, plain ground or
-    a far background hardly move the ball.
+    radius encloses four fifths of the weight, or, where that is more, a splat of the middle size: a single splat has a
+    size too. Regions of interest have many splats, so single floaters, plain ground or a far background hardly move the
+    ball. The ball scales with the scene, whatever its unit.
     """
     logits = np.clip(splats.logit_opacities.astype(np.float64), -30.0, 30.0)
     weight = 1.0 / (1.0 + np.exp(-logits))
@@ -83,8 +91,10 @@ def focus_of(splats: Splats) -> Focus:
     ends = [[_weighted_quantile(means[:, axis], weight, q) for q in (0.1, 0.9)] for axis in range(3)]
     centre = np.mean(ends, axis=1)
     distance = np.linalg.norm(means - centre, axis=1)
-    radius = max(_weighted_quantile(distance, weight, 0.8), 1e-3)
-    return Focus((float(centre[0]), float(centre[1]), float(centre[2])), radius)
+    sizes = np.exp(np.minimum(splats.log_scales.max(axis=1).astype(np.float64), LARGEST_LOG_SCALE))
+    middle = (float(centre[0]), float(centre[1]), float(centre[2]))
+    spread, size = _weighted_quantile(distance, weight, 0.8), _weighted_quantile(sizes, weight, 0.5)
+    return Focus(middle, max(spread, SEEN_SIGMAS * size, least_radius(middle)))
 
 
 def _weighted_quantile(values: F64, weight: F64, q: float) -> float:

@@ -1,6 +1,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -54,6 +55,33 @@ def test_what_the_decoder_holds_never_drifts(tmp_path: Path) -> None:
         assert np.array_equal(shown.ids, true.ids)
         excess = visible_effect(shown.splats, true.splats) - first.max()
         assert excess.max() <= FAST.change_threshold
+
+
+def test_a_unit_of_length_changes_no_level(tmp_path: Path) -> None:
+    levels = []
+    for unit in (1.0, 1e-5):
+        splats = cloud(200, 3)
+        log_scales = splats.log_scales + np.float32(np.log(unit))
+        scaled = with_changes(splats, means=splats.means * np.float32(unit), log_scales=log_scales)
+        manifest = encode([scaled], FAST, str(tmp_path / f"{unit}"))
+        levels.append((manifest.lods, manifest.lod_order))
+        assert manifest.near < manifest.focus_radius / 5
+    assert levels[0] == levels[1]
+
+
+@pytest.mark.parametrize("count", [1, 5])
+def test_splats_at_one_point_have_a_picture(count: int, tmp_path: Path) -> None:
+    shape = np.ones((count, 3))
+    splats = with_changes(
+        cloud(count, 3), means=shape, log_scales=-4 * shape, sh0=shape, logit_opacities=np.full(count, 3)
+    )
+    encode([splats], FAST, str(tmp_path / "out"))
+    picture = cv2.imread(str(tmp_path / "out" / "thumbnail.jpg"))
+    if picture is None:
+        pytest.skip("no thumbnail was drawn: the native kernels are not installed")
+    lit = picture.max(axis=2) > 20
+    assert 0.05 < lit.mean() < 0.5
+    assert not (lit[0].any() or lit[:, 0].any() or lit[-1].any() or lit[:, -1].any()), "it is seen whole"
 
 
 def test_only_what_changed_is_sent(tmp_path: Path) -> None:

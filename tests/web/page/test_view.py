@@ -20,11 +20,18 @@ ROOM = replace(BARE, bounds=((-4, -1, -4), (4, 3, 4)))
 FAR = replace(BARE, bounds=((-9, -2, -1), (90, 2, 1)), focus_centre=(0.1, 0.2, 0.3), up=(0, 0, 1))
 
 
+POINT = replace(BARE, bounds=((1, -2, 3), (1, -2, 3)), focus_centre=(1, -2, 3), focus_radius=0.2)
+NO_SIZE = replace(POINT, focus_radius=0.0)
+FAR_POINT = replace(BARE, bounds=((1e5, 0, 0), (1e5, 0, 0)), focus_centre=(1e5, 0, 0), focus_radius=1e-3)
+SMALL = replace(BARE, bounds=((-0.001, -0.002, -0.001), (0.001, 0.002, 0.001)), focus_radius=0.001)
+MANIFESTS = (BARE, ROOM, FAR, POINT, NO_SIZE, FAR_POINT, SMALL)
+
+
 def test_views_are_pythons(tmp_path: Path) -> None:
     cases = []
     target = AuthorView(target=(1.0, 2.0, 3.0), radius=0.7)
     level = Pose.looking_at((1.0, -0.5, -3.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0))
-    for manifest in (BARE, ROOM, FAR, replace(BARE, view=target), replace(ROOM, view=AuthorView(radius=3.0))):
+    for manifest in (*MANIFESTS, replace(BARE, view=target), replace(ROOM, view=AuthorView(radius=3.0))):
         for tangents in ((0.577, 0.325), (0.3, 0.577)):
             pose = first_pose(manifest, *tangents)
             cases.append((manifest, tangents, pose))

@@ -17,6 +17,10 @@ const SURROUNDED = 1.3;
 const WITHIN = 0.85;
 /** Radii from the scene's centre beyond which splats are background, and need not be in the first view. */
 const BULK = 2.2;
+/** Smallest radius of a scene, in its units: squares of it are still normal numbers in 32-bit floats. */
+const LEAST_RADIUS = 1e-12;
+/** Smallest radius relative to the centre's coordinates: a few steps of 32-bit floats, which the GPU holds positions in. */
+const LEAST_SHARE = 2 ** -20;
 
 /** Tangent of half the height of the picture, 8:5, that an author's pose is of. */
 const AUTHORS_TAN = Math.tan(Math.PI / 6) * (5 / 8);
@@ -50,7 +54,8 @@ export class ViewCamera {
     this.#side = cross(this.#front, this.#up);
     this.#view = scene.view;
     this.#focus = scene.view.target ?? scene.focusCentre;
-    this.#radius = Math.max(scene.view.radius ?? scene.focusRadius, 1e-3);
+    const least = Math.max(LEAST_RADIUS, LEAST_SHARE * Math.max(...this.#focus.map(Math.abs)));
+    this.#radius = Math.max(scene.view.radius ?? scene.focusRadius, least);
     this.#bounds = scene.bounds;
     this.#target = this.#focus;
   }
@@ -68,25 +73,31 @@ export class ViewCamera {
     this.#target = this.#focus;
     const wall = this.#reach(scaled(this.#axes()[2], -1));
     const round = (this.#radius * MARGIN) / Math.sin(Math.atan(Math.min(tanX, tanY)));
-    if (this.#view.target || this.#view.radius) this.#distance = round;
-    else if (wall > SURROUNDED * this.#radius) this.#distance = Math.min(round, WITHIN * wall);
+    this.#distance = round;
+    if (this.#view.target || this.#view.radius) return;
+    if (wall > SURROUNDED * this.#radius) this.#distance = Math.min(round, WITHIN * wall);
     else this.#fit(tanX, tanY);
   }
 
-  /** Bring the corners of the bounds, less what lies far from the scene's centre, into the view. */
+  /** Bring the corners of the bounds, less what lies far from the scene's centre, into the view. Not from within the
+   * scene's ball: bounds are of the splats' centres, and have no extent where all lie at one point; the ball says how
+   * large the splats are. */
   #fit(tanX: number, tanY: number): void {
     const reach = BULK * this.#radius;
     const low = this.#bounds[0].map((part, axis) => Math.max(part, this.#focus[axis] - reach));
     const high = this.#bounds[1].map((part, axis) => Math.min(part, this.#focus[axis] + reach));
     const [x, y, z] = this.#axes();
-    this.#target = low.map((part, axis) => (part + high[axis]) / 2) as unknown as Vec3;
-    this.#distance = 0;
+    const target = low.map((part, axis) => (part + high[axis]) / 2) as unknown as Vec3;
+    let distance = 0;
     for (let corner = 0; corner < 8; corner++) {
       const at = low.map((part, axis) => (corner & (1 << axis) ? high[axis] : part)) as unknown as Vec3;
-      const way = minus(at, this.#target);
+      const way = minus(at, target);
       const needed = Math.max(Math.abs(dot(way, x)) / tanX, Math.abs(dot(way, y)) / tanY) - dot(way, z);
-      this.#distance = Math.max(this.#distance, needed);
+      distance = Math.max(distance, needed);
     }
+    if (distance < this.#radius) return;
+    this.#target = target;
+    this.#distance = distance;
   }
 
   /** How far it is from the scene's centre to its bounds along a direction. */

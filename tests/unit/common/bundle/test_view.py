@@ -15,7 +15,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cags_common.bundle import Manifest
-from cags_common.bundle.first_view import HEIGHT_PX, WIDTH_PX, first_camera, first_pose, thumbnail
+from cags_common.bundle.first_view import (
+    HEIGHT_PX,
+    WIDTH_PX,
+    first_camera,
+    first_pose,
+    least_radius,
+    thumbnail,
+)
 from cags_common.bundle.view import AuthorView, read_view
 from cags_common.errors import BundleError, ConfigError
 from cags_common.geometry import F64, Pose
@@ -93,6 +100,30 @@ def test_a_first_view_shows_an_object_whole(half: tuple[float, ...], aspect: flo
     assert (z > 0).all()
     assert (np.abs(x) <= tan_x * z * (1 + 1e-6)).all()
     assert (np.abs(y) <= tan_y * z * (1 + 1e-6)).all()
+
+
+POINTS = [((0.0, 0.0, 0.0), 0.5), ((1.0, -2.0, 3.0), 1e-6), ((1e6, 0.0, 0.0), 1e-3), ((0.0, 0.0, 0.0), 0.0)]
+
+
+@pytest.mark.parametrize(("at", "radius"), POINTS)
+def test_splats_at_one_point_are_seen_by_their_size(at: tuple[float, float, float], radius: float) -> None:
+    manifest = replace(OBJECT, bounds=(at, at), focus_centre=at, focus_radius=radius)
+    way = np.subtract(at, (pose := first_pose(manifest, 0.5, 0.3)).position)
+    distance = np.linalg.norm(way)
+    assert np.allclose(way / distance, pose.rotation_matrix[:, 2], atol=1e-6)
+    assert distance * math.sin(math.atan(0.3)) > max(radius, least_radius(at))
+    assert np.float32(max(at)) + np.float32(distance) > np.float32(max(at)), "renderers can tell the two apart"
+
+
+@given(st.integers(-9, 9))
+def test_a_first_view_scales_with_the_scene(power: int) -> None:
+    """In whatever unit, the picture is the same."""
+    unit = 10.0**power
+    box = tuple(tuple(unit * part for part in corner) for corner in BOX)
+    scaled = replace(OBJECT, bounds=box, focus_radius=unit * OBJECT.focus_radius)  # type: ignore[arg-type]
+    here, there = first_pose(OBJECT, 0.5, 0.3), first_pose(scaled, 0.5, 0.3)
+    assert np.allclose(np.divide(there.position, unit), here.position)
+    assert np.allclose(there.rotation, here.rotation)
 
 
 def test_a_room_is_seen_from_within() -> None:

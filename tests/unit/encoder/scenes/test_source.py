@@ -1,10 +1,12 @@
 """The focus of a scene."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from cags_common.splats import Splats
-from cags_encoder.scenes.source import focus_of
+from cags_encoder.scenes.source import SEEN_SIGMAS, focus_of
 from support.splat_files import random_splats
 
 
@@ -32,6 +34,26 @@ def test_the_middle_of_a_thing_above_its_ground() -> None:
 
 
 def test_one_splat_has_a_ball_around_it() -> None:
-    focus = focus_of(at(np.array([[5.0, 6.0, 7.0]])))
+    splat = at(np.array([[5.0, 6.0, 7.0]]))
+    focus = focus_of(splat)
     assert focus.centre == (5, 6, 7)
-    assert focus.radius > 0
+    assert focus.radius == pytest.approx(SEEN_SIGMAS * np.exp(splat.log_scales.max()))
+
+
+@pytest.mark.parametrize("power", [-9, -6, -3, 3])
+@pytest.mark.parametrize("count", [1, 200])
+def test_it_scales_with_the_scene(count: int, power: int) -> None:
+    """The same scene in another unit."""
+    splats = at(np.random.default_rng(0).normal(size=(count, 3)))
+    unit = 10.0**power
+    log_scales = splats.log_scales + np.float32(np.log(unit))
+    scaled = focus_of(replace(splats, means=splats.means * np.float32(unit), log_scales=log_scales))
+    here = focus_of(splats)
+    assert scaled.radius == pytest.approx(unit * here.radius, rel=1e-5)
+    assert scaled.centre == pytest.approx([unit * part for part in here.centre], rel=1e-5, abs=unit * 1e-5)
+
+
+def test_sizes_that_no_bundle_could_hold_are_limited() -> None:
+    splats = at(np.zeros((3, 3)))
+    assert focus_of(replace(splats, log_scales=np.full((3, 3), -300, np.float32))).radius > 0
+    assert focus_of(replace(splats, log_scales=np.full((3, 3), 1e30, np.float32))).radius < 1e12
