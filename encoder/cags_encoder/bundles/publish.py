@@ -10,16 +10,19 @@ from __future__ import annotations
 
 import gzip
 import json
+import os
 import shutil
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, Manifest
-from cags_common.bundle.store import UrlStore
-from cags_common.errors import ConfigError
+from cags_common.bundle.store import UrlStore, remove_tree
+from cags_common.errors import ConfigError, OutputError
 
 MAX_BLOB_BYTES = 2**28
 PAGE_SUFFIXES = {".html", ".js", ".css", ".svg", ".wasm"}
@@ -43,16 +46,55 @@ class Published:
 def publish(url: str, folder: Path, page: Path | None) -> Published:
     """Copy the bundle at ``url`` to ``folder``, together with the built viewer from ``page`` (None: without a viewer).
 
-    Raises :class:`ConfigError` if ``folder`` is not empty, and :class:`cags_common.errors.BundleError` if ``url`` holds
-    no bundle.
+    ``folder`` must be new or empty, and stays so if anything fails. Raises :class:`ConfigError` if it is neither,
+    :class:`OutputError` if it cannot be written, and :class:`cags_common.errors.BundleError` if ``url`` holds no whole
+    bundle.
     """
-    if folder.exists() and any(folder.iterdir()):
-        raise ConfigError(f"publish = {folder}: is not empty; give an empty or a new folder")
-    folder.mkdir(parents=True, exist_ok=True)
-    store = UrlStore(url)
-    data = store.read_all("manifest.json", MAX_MANIFEST_BYTES)
-    Manifest.from_json(data)
-    table: dict[str, Any] = json.loads(data)
+    try:
+        _check_folder(folder)
+        store = UrlStore(url)
+        data = store.read_all("manifest.json", MAX_MANIFEST_BYTES)
+        Manifest.from_json(data)
+        with _all_or_nothing(folder) as writing:
+            _write(store, json.loads(data), page, writing)
+        written = [path for path in folder.rglob("*") if path.is_file()]
+        return Published(str(folder), len(written), sum(path.stat().st_size for path in written), page is not None)
+    except OSError as error:
+        raise OutputError.of(folder, error) from error
+
+
+def _check_folder(folder: Path) -> None:
+    if folder.is_dir():
+        if any(folder.iterdir()):
+            raise ConfigError(f"publish = {folder}: is not empty; give an empty or a new folder")
+    elif folder.exists():
+        raise ConfigError(f"publish = {folder}: is a file; give an empty or a new folder")
+
+
+@contextmanager
+def _all_or_nothing(folder: Path) -> Iterator[Path]:
+    """A temporary folder whose files are in ``folder`` at the end of the block, unless an error ends it.
+
+    A new folder appears whole, by renaming. An empty one that is there may be a mount or a working directory, so it is
+    kept, and the files are moved into it.
+    """
+    there = folder.is_dir()
+    parent = folder if there else folder.parent
+    parent.mkdir(parents=True, exist_ok=True)
+    scratch = parent / f".{folder.name}.partial-{os.getpid()}"
+    scratch.mkdir()
+    try:
+        yield scratch
+        for path in scratch.iterdir() if there else ():
+            path.rename(folder / path.name)
+        if not there:
+            scratch.rename(folder)
+    finally:
+        remove_tree(scratch)
+
+
+def _write(store: UrlStore, table: dict[str, Any], page: Path | None, folder: Path) -> None:
+    """Write the bundle in ``store``, whose manifest is ``table``, and the page."""
     for group in table["gofs"]:
         tiles = group["tiles"]
         tiles["name"] = _named(store.read(tiles["name"], 0, tiles["size_bytes"]), "gof", folder)
@@ -62,8 +104,6 @@ def publish(url: str, folder: Path, page: Path | None) -> Published:
         _copy_page(page, folder)
     (folder / "manifest.json").write_text(json.dumps(table, separators=(",", ":"), sort_keys=True))
     _compress(folder)
-    written = [path for path in folder.rglob("*") if path.is_file()]
-    return Published(str(folder), len(written), sum(path.stat().st_size for path in written), page is not None)
 
 
 def _named(data: bytes, kind: str, folder: Path) -> str:
