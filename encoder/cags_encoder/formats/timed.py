@@ -16,7 +16,7 @@ from cags_common.errors import SceneError
 from cags_common.geometry import F32, F64
 from cags_common.splats import Splats
 from cags_encoder.formats.files import directed, quietly
-from cags_encoder.formats.repair import DropBroken
+from cags_encoder.formats.repair import Check, DropBroken
 
 FAINTEST = 1.0 / 255.0
 """A splat of lower opacity is absent from a frame: common rasterisers do not draw it."""
@@ -51,8 +51,11 @@ class TimedSplats:
         return np.array([np.argmax(self._log_opacities(time))])
 
     @quietly
-    def at(self, time: float, rows: NDArray[np.intp], source: str) -> Splats:
-        """The splats of ``rows`` at ``time``. Raises :class:`SceneError` naming ``source`` if one cannot be drawn."""
+    def at(self, time: float, rows: NDArray[np.intp], source: str, check: Check = Splats.checked) -> Splats:
+        """The splats of ``rows`` at ``time``; ``check`` decides what happens to those that cannot be drawn.
+
+        Finite coefficients may give positions beyond any limit. Raises :class:`SceneError` naming ``source``.
+        """
         since = time - self.centres[rows]
         means = self.splats.means[rows].astype(np.float64)
         for power in range(self.motion.shape[1]):
@@ -60,12 +63,13 @@ class TimedSplats:
         quats = self.splats.quats[rows] + self.omega[rows] * since[:, None].astype(np.float32)
         opacity = np.exp(self._log_opacities(time)[rows])
         logits = np.log(opacity) - np.log1p(-np.minimum(opacity, 1 - 1e-9))
-        return replace(
+        moved = replace(
             self.splats.take(rows),
             means=means.astype(np.float32),
             quats=directed(quats),
             logit_opacities=np.clip(logits, -MAX_LOGIT, MAX_LOGIT).astype(np.float32),
-        ).checked(source)
+        )
+        return check(moved, source)
 
     def _log_opacities(self, time: float) -> F64:
         logits = np.clip(self.splats.logit_opacities.astype(np.float64), -30.0, 30.0)

@@ -102,9 +102,17 @@ class FileScene:
         return {**self.__dict__, "_held": None}
 
 
+def exists(path: Path) -> bool:
+    """Whether there is such a file or folder; no for names that are too long for the file system."""
+    try:
+        return path.exists()
+    except OSError:
+        return False
+
+
 def open_files(path: Path, options: FileOptions) -> FrameSource:
     """Open a file or folder. Raises :class:`SceneError` for bad files, :class:`ConfigError` for bad options."""
-    if not path.exists():
+    if not exists(path):
         raise SceneError(f"{path}: no such file or folder; give one, or 'procedural'")
     if is_timed(path):
         return TimedScene(path, options)

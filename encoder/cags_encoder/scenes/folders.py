@@ -1,8 +1,9 @@
 """Finds the frames of a folder and their order.
 
-Known layouts: numbered files (``frame_0001.ply``, ``time_00000.ply``), numbered folders of unbundled SOG, and numbered
-folders as written by 3DGS training (``frame1/point_cloud/iteration_1000/point_cloud.ply``; the last iteration counts),
-which 3DGStream, HiCoM and TrackerSplat use for their sequences.
+Known layouts: numbered files (``frame_0001.ply``, ``time_00000.ply``, ``clip.0001.ply``), numbered folders of unbundled
+SOG, and numbered folders as written by 3DGS training (``frame1/point_cloud/iteration_1000/point_cloud.ply``; the last
+iteration counts), which 3DGStream, HiCoM and TrackerSplat use for their sequences. A name's number may stand anywhere
+before the format's suffix.
 """
 
 from __future__ import annotations
@@ -11,10 +12,13 @@ import re
 from pathlib import Path
 
 from cags_common.errors import SceneError
-from cags_encoder.formats.registry import META, SUFFIXES
+from cags_encoder.formats.registry import FORMATS, META, SUFFIXES
 from cags_encoder.scenes.source import MAX_FRAMES
 
 TRAINED = "point_cloud.ply"
+
+_ENDINGS = sorted((entry.suffix for entry in FORMATS.values()), key=len, reverse=True)
+"""Suffixes of single-file formats, those before others that they end with."""
 
 
 def frame_of_folder(folder: Path) -> Path | None:
@@ -42,7 +46,7 @@ def numbered_frames(folder: Path) -> list[Path]:
     kinds = sorted({frame.suffix.lower() or META for _, frame in found})
     if len(kinds) > 1:
         raise SceneError(f"{folder}: mixes {kinds[0]} and {kinds[1]}; keep one sequence of one format in a folder")
-    unnumbered = [entry.name for entry, _ in found if not re.search(r"[0-9]", entry.name.split(".")[0])]
+    unnumbered = [entry.name for entry, _ in found if not re.search(r"[0-9]", _stem(entry))]
     if unnumbered and len(found) > 1:
         raise SceneError(f"{folder}: {unnumbered[0]} has no frame number; name one file, or number the sequence")
     return [frame for _, frame in found]
@@ -52,6 +56,12 @@ def _frame(entry: Path) -> Path | None:
     if entry.is_dir():
         return frame_of_folder(entry)
     return entry if entry.suffix.lower() in SUFFIXES else None
+
+
+def _stem(entry: Path) -> str:
+    """The name, of a file without its format's suffix: ``a.0001`` of ``a.0001.compressed.ply``."""
+    ending = next((ending for ending in _ENDINGS if entry.is_file() and entry.name.lower().endswith(ending)), "")
+    return entry.name[: len(entry.name) - len(ending)]
 
 
 def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:

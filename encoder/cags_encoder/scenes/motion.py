@@ -123,7 +123,7 @@ class MotionScene:
         means = self._rest.means[rows].astype(np.float64)
         height = means @ np.asarray(self._up)
         foot = height.min()
-        share = (height - foot) / max(float(np.ptp(height)), 1e-9)
+        share = (height - foot) / (float(np.ptp(height)) or 1.0)
         turns = rotations.about(self._axis, 0.5 * self._options.amount * np.square(share) * np.sin(swing))
         pivot = means.mean(axis=0)
         pivot = pivot + (foot - pivot @ np.asarray(self._up)) * np.asarray(self._up)

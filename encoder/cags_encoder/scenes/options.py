@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import types
 import typing
+from collections.abc import Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
@@ -37,14 +38,17 @@ def split_options(spec: str) -> tuple[str, dict[str, str]]:
     return match["head"], options
 
 
-def parse_options(cls: type[S], spec: str, options: dict[str, str]) -> S:
-    """Build the settings dataclass ``cls`` from ``options``; ``spec`` names the scene in :class:`ConfigError`."""
+def parse_options(cls: type[S], spec: str, options: dict[str, str], others: Sequence[str] = ()) -> S:
+    """Build the settings dataclass ``cls`` from ``options``; ``spec`` names the scene in :class:`ConfigError`.
+
+    ``others`` are options of the scene that were taken before; errors list them too.
+    """
     hints = typing.get_type_hints(cls)
     names = [f.name for f in fields(cast("Any", cls))]
     values: dict[str, Any] = {}
     for key, text in options.items():
         if key not in names:
-            known = [*names, *(name for name in EVERYWHERE if name not in names)]
+            known = [*names, *(name for name in (*others, *EVERYWHERE) if name not in names)]
             raise ConfigError(f"scene {spec!r}: unknown option {key!r}; known: {', '.join(known)}")
         values[key] = _convert(spec, key, text, hints[key])
     try:

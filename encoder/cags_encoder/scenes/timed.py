@@ -75,11 +75,20 @@ class TimedScene:
 
     def frame(self, index: int) -> Splats:
         """The visible splats at ``index / fps`` seconds; the clip repeats after its end."""
-        return self._timed.at(self._time(index), self._rows(index), f"{self._path}: frame {index}")
+        return self._frame(index)[0]
 
     def ids(self, index: int) -> Ids:
         """Row numbers of the file."""
-        return self._rows(index).astype(np.int32)
+        rows = self._rows(index) if self._options.repair == "none" else self._frame(index)[1]
+        return rows.astype(np.int32)
+
+    def _frame(self, index: int) -> tuple[Splats, NDArray[np.intp]]:
+        """Frame ``index`` and its rows [n] of the file. A splat that cannot be drawn now may be drawn in others."""
+        rows, drop = self._rows(index), self._options.dropper()
+        if drop is None:
+            return self._timed.at(self._time(index), rows, f"{self._path}: frame {index}"), rows
+        splats = self._timed.at(self._time(index), rows, str(self._path), drop)  # reported once, not in every frame
+        return splats, rows[drop.kept]
 
     def _rows(self, index: int) -> NDArray[np.intp]:
         time = self._time(index)

@@ -1,6 +1,7 @@
 """Scenes from files: static scenes, sequences, layouts, identities."""
 
 import pickle
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from cags_common.errors import SceneError
 from cags_common.splats import Splats
 from cags_encoder.formats import write_splats
 from cags_encoder.formats.sog_writer import sog_bytes
-from cags_encoder.scenes import open_scene
+from cags_encoder.scenes import folders, open_scene
 from cags_encoder.scenes.folders import natural_key
 from support.splat_files import random_splats, shared_scene, zip_files
 
@@ -126,6 +127,33 @@ def test_folders_that_are_no_sequence(tmp_path: Path) -> None:
         open_scene(str(tmp_path))
     write_splats(tmp_path / "c.spz", REST)
     with pytest.raises(SceneError, match=r"mixes \.ply and \.spz"):
+        open_scene(str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    "name", ["clip.{:04d}.ply", "clip.{}.compressed.ply", "a.b.{}.splat", "{}.x.PLY", "v2.take3.{}.spz"]
+)
+def test_a_number_may_stand_between_dots(name: str, tmp_path: Path) -> None:
+    save(tmp_path, [moved(random_splats(), i) for i in range(11)], name)
+    scene = open_scene(str(tmp_path))
+    shifts = [float(scene.frame(i).means[:, 0].mean() - scene.frame(0).means[:, 0].mean()) for i in (1, 2, 10)]
+    np.testing.assert_allclose(shifts, [1, 2, 10], atol=0.05)
+
+
+@pytest.mark.parametrize("name", ["one.ply", "one.compressed.ply", "one.v.ply"])
+def test_a_file_without_a_number_is_named(name: str, tmp_path: Path) -> None:
+    save(tmp_path, [REST, REST])
+    write_splats(tmp_path / name, REST)
+    with pytest.raises(SceneError, match=f"{re.escape(name)} has no frame number"):
+        open_scene(str(tmp_path))
+
+
+def test_a_suffix_has_no_frame_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a format whose suffix has a digit, too."""
+    monkeypatch.setattr(folders, "_ENDINGS", [".3d.ply", ".ply"])
+    save(tmp_path, [REST, REST], "{}.3d.ply")
+    (tmp_path / "0.3d.ply").rename(tmp_path / "zero.3d.ply")
+    with pytest.raises(SceneError, match=r"zero\.3d\.ply has no frame number"):
         open_scene(str(tmp_path))
 
 

@@ -2,10 +2,13 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cags_common.errors import ConfigError, SceneError
+from cags_common.splats import Splats
 from cags_encoder.formats import write_splats
+from cags_encoder.formats.ply import ply_bytes
 from cags_encoder.scenes import open_scene
 from cags_encoder.scenes.options import split_options
 from support.splat_files import random_splats
@@ -79,3 +82,44 @@ def test_a_path_that_looks_like_options_wins(tmp_path: Path) -> None:
     odd.mkdir()
     (tmp_path / "x.ply").rename(odd / "x.ply")
     assert len(open_scene(str(odd))) == 60
+    assert open_scene(f"motion:{odd}").name == "a:b=1-mix"
+    assert open_scene(f"motion:{odd}:kind=bend,up=+z").up == (0, 0, 1)
+
+
+def test_a_name_beyond_the_file_systems_limit_is_no_file() -> None:
+    for spec in ("x" * 5000, f"motion:{'x' * 5000}", f"{'x' * 5000}:up=x"):
+        with pytest.raises(SceneError, match="no such file or folder"):
+            open_scene(spec)
+
+
+def broken(path: Path) -> Path:
+    """A PLY with a NaN in splat 7."""
+    arrays = dict(random_splats().arrays())
+    arrays["means"][7] = np.nan
+    path.write_bytes(ply_bytes(Splats(**arrays)))
+    return path
+
+
+def test_the_repair_that_errors_name_works_through_the_motion_tool(tmp_path: Path) -> None:
+    path = broken(tmp_path / "a.ply")
+    with pytest.raises(SceneError, match="repair=drop"):
+        open_scene(f"motion:{path}")
+    count = len(open_scene(f"motion:{path}:repair=drop,kind=bend").frame(0))
+    assert count == len(random_splats()) - 1
+    write_splats(tmp_path / "b.ply", random_splats())
+    assert len(open_scene(f"motion:{tmp_path}/b.ply:repair=drop").frame(0)) > 0
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("sise=3", "unknown option 'sise'; known: kind, frames, fps, share, amount, period_s, seed, up, focus, repair"),
+        ("kind=fly", "kind"),
+        ("repair=all", "repair"),
+        ("shuffle=2", "shuffle"),
+    ],
+)
+def test_options_are_checked_before_files_are_read(options: str, words: str, tmp_path: Path) -> None:
+    path = broken(tmp_path / "a.ply")
+    with pytest.raises(ConfigError, match=words):
+        open_scene(f"motion:{path}:{options}")

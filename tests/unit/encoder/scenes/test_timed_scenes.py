@@ -58,6 +58,23 @@ def test_broken_splats_are_left_out_on_request(tmp_path: Path) -> None:
     assert len(open_scene(f"{tmp_path}/a.ply:repair=drop").frame(0)) > 0
 
 
+def test_splats_that_leave_the_range_are_left_out_of_that_frame(tmp_path: Path) -> None:
+    """Coefficients are finite, and so large that the splat is beyond any limit except at its centre in time."""
+    row = int(TIMED.alive(0.0)[0])
+    (tmp_path / "a.ply").write_bytes(
+        spacetime_ply_bytes(TIMED, motion_8=np.where(np.arange(len(TIMED)) == row, 3e38, 0))
+    )
+    with pytest.raises(SceneError, match=r"a\.ply: frame 0: .*repair=drop"):
+        open_scene(f"{tmp_path}/a.ply")
+    scene = open_scene(f"{tmp_path}/a.ply:repair=drop")
+    for index in range(len(scene)):
+        ids, alive = scene.ids(index), TIMED.alive(index / 50)
+        assert len(scene.frame(index)) == len(ids)
+        assert set(alive) - {row} <= set(ids) <= set(alive)
+    assert row not in scene.ids(0)
+    assert len(open_scene(f"motion:{tmp_path}/a.ply:repair=drop,kind=bend").frame(0)) == len(scene.ids(0))
+
+
 def test_a_duration_is_for_4d_files_alone(tmp_path: Path) -> None:
     write_splats(tmp_path / "a.ply", random_splats())
     with pytest.raises(ConfigError, match=r"duration = 2.0 is for 4D files"):
