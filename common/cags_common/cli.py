@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import errno
 import io
 import os
 import signal
@@ -13,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import NoReturn
 
-from cags_common.errors import CagsError, ConfigError
+from cags_common.errors import REFUSALS, CagsError, ConfigError
 
 EXIT_OK, EXIT_FAILED, EXIT_USAGE = 0, 1, 2
 EXIT_SIGNAL = 128
@@ -86,21 +85,6 @@ def run_command(prog: str, body: Callable[[Sequence[str]], int | None], argv: Se
             raise
         where = error.filename or "output"
         return _failed(prog, f"{where}: {(error.strerror or str(error)).lower()}; {REFUSALS[error.errno]}", EXIT_FAILED)
-
-
-REFUSALS = {
-    errno.ENOSPC: "make room or choose another place",
-    errno.EDQUOT: "make room or choose another place",
-    errno.EFBIG: "choose another place",
-    errno.EROFS: "choose another place",
-    errno.EACCES: "choose another place or change its permissions",
-    errno.EPERM: "choose another place or change its permissions",
-    errno.ENAMETOOLONG: "choose a shorter name",
-    errno.EMFILE: "allow more open files (ulimit -n)",
-    errno.ENFILE: "close other programs",
-    errno.EIO: "check the disk",
-}
-"""What a system may refuse to anybody, and the way out; other errors of it are faults of this program."""
 
 
 def _failed(prog: str, why: object, code: int) -> int:

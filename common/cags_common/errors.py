@@ -6,6 +6,22 @@ the way out. Commands print that line and exit; they never show a traceback for 
 
 from __future__ import annotations
 
+import errno
+
+REFUSALS = {
+    errno.ENOSPC: "make room or choose another place",
+    errno.EDQUOT: "make room or choose another place",
+    errno.EFBIG: "allow larger files (ulimit -f) or choose another place",
+    errno.EROFS: "choose another place",
+    errno.EACCES: "choose another place or change its permissions",
+    errno.EPERM: "choose another place or change its permissions",
+    errno.ENAMETOOLONG: "choose a shorter name",
+    errno.EMFILE: "allow more open files (ulimit -n)",
+    errno.ENFILE: "close other programs",
+    errno.EIO: "check the disk",
+}
+"""What a system may refuse to anybody, and the way out; other errors of it are faults of this program."""
+
 
 class CagsError(Exception):
     """Base of all errors that are reported in one line, without a traceback."""
@@ -41,7 +57,8 @@ class OutputError(CagsError):
     @classmethod
     def of(cls, path: object, error: OSError) -> OutputError:
         """What the system said of ``path``."""
-        return cls(f"{path}: cannot be written ({error.strerror or error}); choose another place")
+        way_out = REFUSALS.get(error.errno or 0, "choose another place")
+        return cls(f"{path}: cannot be written ({error.strerror or error}); {way_out}")
 
 
 class NetworkError(CagsError):

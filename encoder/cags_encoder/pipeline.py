@@ -23,7 +23,8 @@ from cags_common.raster import create
 from cags_common.splats import Splats
 from cags_common.tiles.lod import LodLayer
 from cags_encoder.clip import ClipEncoder
-from cags_encoder.codecs.registry import ClipCodec, train_codec
+from cags_encoder.codecs.lod_order import NAMED_ORDERS, order_in_file
+from cags_encoder.codecs.registry import CLIP_CODECS, ClipCodec, train_codec
 from cags_encoder.codecs.svq import SvqCodec
 from cags_encoder.execution.executors import INLINE, Shared, Workers, ahead
 from cags_encoder.execution.journal import Journal
@@ -91,19 +92,23 @@ def encode(
 ) -> Manifest:
     """Encode ``frames`` into a bundle at ``out_url`` (a folder or an fsspec URL) and return its manifest.
 
+    An old bundle there is replaced once everything that the settings can get wrong is known; anything else is refused.
+
     The same frames and settings give the same bytes with any ``workers`` (frames in memory are copied to them). With
     ``resume`` a killed run continues, to the same bytes. A failed run leaves nothing behind, except for the records in
-    ``resume.folder`` if running again may help. Raises :class:`SceneError`, :class:`ConfigError` or
-    :class:`BundleError`.
+    ``resume.folder`` if running again may help. Raises :class:`SceneError`, :class:`ConfigError`,
+    :class:`BundleError` or :class:`OutputError`.
     """
     source = _as_source(frames)
     tell = progress or (lambda stage, done, total: None)
+    encoding = _Encoding(source, settings, workers, tell)
+    writer = BundleWriter(out_url)
     with ExitStack() as stack:
         # The journal locks out a second run, so it comes before anything at the URL is changed.
         journal = stack.enter_context(Journal(resume.folder, resume.key)) if resume else None
-        writer = stack.enter_context(BundleWriter(out_url))
+        stack.enter_context(writer)
         try:
-            manifest = _Encoding(source, settings, workers, journal, tell).run(writer)
+            manifest = encoding.run(writer, journal)
         except (SceneError, ConfigError):  # the input must change first, and the records will not fit then
             if journal:
                 journal.discard()
@@ -123,22 +128,25 @@ def _as_source(frames: FrameSource | Iterable[Splats]) -> FrameSource:
 
 
 class _Encoding:
-    """One run of the encoder."""
+    """One run of the encoder. Raises :class:`ConfigError` at once for a codec or a file that settings misname."""
 
-    def __init__(
-        self, source: FrameSource, settings: EncodeSettings, workers: Workers, journal: Journal | None, tell: Progress
-    ) -> None:
-        self._settings, self._workers, self._journal, self._tell = settings, workers, journal, tell
+    def __init__(self, source: FrameSource, settings: EncodeSettings, workers: Workers, tell: Progress) -> None:
+        CLIP_CODECS.find(settings.codec)
+        if settings.lod_order not in NAMED_ORDERS and not Path(settings.lod_order).is_fifo():  # pipes are read once
+            order_in_file(settings.lod_order)
         self._view: AuthorView | None = read_view(settings.view) if settings.view else None
+        self._source, self._settings, self._workers, self._tell = source, settings, workers, tell
+        self._journal: Journal | None = None
         self._count = len(source) if settings.frames is None else min(settings.frames, len(source))
         self._pruning: Pruning | None = None
         self._quality: LodQuality | None = None
         self._still: tuple[tuple[int, float], ...] = ()
         self._tolerances = Tolerances()
-        self._source = self._pruned(source)
 
-    def run(self, writer: BundleWriter) -> Manifest:
+    def run(self, writer: BundleWriter, journal: Journal | None) -> Manifest:
         """Write the bundle."""
+        self._journal = journal
+        self._source = self._pruned(self._source)
         codec = self._codec()
         writer.codebooks(codec.codebooks())
         if self._quality is not None:

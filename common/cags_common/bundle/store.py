@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import threading
 import time
@@ -17,6 +18,10 @@ ANSWER_S, SLOWEST_BYTES_S = 5.0, 1e6
 
 AGAIN_S = 1.0
 """From one attempt to the next to reach a store that has stopped answering."""
+
+
+LOCAL_SCHEMES = ("file://", "local://", "file:", "local:")
+"""What fsspec takes as the beginning of a local path."""
 
 
 class ByteStore(Protocol):
@@ -50,9 +55,19 @@ def filesystem(url: str) -> tuple[Any, str]:
 
 def local_path(url: str) -> Path | None:
     """The folder that ``url`` names on this machine, or None for another store."""
-    if url.startswith("file://"):
-        return Path(url.removeprefix("file://"))
+    for scheme in LOCAL_SCHEMES:
+        if url.startswith(scheme):
+            return Path(url.removeprefix(scheme))
     return None if "://" in url else Path(url)
+
+
+def written_folder(url: str) -> Path | None:
+    """The folder that a bundle written to ``url`` takes, absolute; None for another store.
+
+    A symbolic link stays a link: what it points to is written.
+    """
+    path = local_path(url)
+    return None if path is None else Path(os.path.realpath(path))  # Path.resolve raises for links in a circle
 
 
 class UrlStore:

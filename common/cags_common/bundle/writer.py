@@ -1,18 +1,14 @@
 """Writing bundles: all or nothing, and the same bytes for the same input.
 
-A local bundle is written into a hidden sibling folder and renamed at the end. On other stores files are written in
-place and the manifest, without which nothing is a bundle, comes last.
+Where the files go, and what may be replaced there, says :mod:`cags_common.bundle.places`. The manifest, without which
+nothing is a bundle, comes last.
 """
 
 from __future__ import annotations
 
-import glob
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 from cags_common.bundle.index import (
     SOURCE_MAGIC,
@@ -22,10 +18,11 @@ from cags_common.bundle.index import (
     encode_source_index,
     encode_tile_index,
 )
-from cags_common.bundle.manifest import FileEntry, GofFiles, Manifest
+from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, FileEntry, GofFiles, Manifest
+from cags_common.bundle.places import OutputFile, place_of
 from cags_common.bundle.quality import QUALITY_NAME, LodQuality
-from cags_common.bundle.reader import CODEBOOKS_NAME, MANIFEST_NAME
-from cags_common.bundle.store import filesystem, local_path, remove_tree
+from cags_common.bundle.reader import CODEBOOKS_NAME, MANIFEST_NAME, MAX_WEIGHTS_BYTES, weights_name
+from cags_common.bundle.store import UrlStore, filesystem, replace_files
 from cags_common.coding.packing import crc32, encode_ids
 from cags_common.errors import BundleError
 from cags_common.geometry import Vec3
@@ -48,24 +45,16 @@ class TilePayloads:
 
 
 class BundleWriter:
-    """Writes one bundle; use as a context manager and :meth:`commit` last. Without it nothing is left behind."""
+    """Writes one bundle; use as a context manager and :meth:`commit` last. Without it nothing is left behind.
+
+    An old bundle at ``url`` (a folder or an fsspec URL) is replaced: a local one at the end, elsewhere by the first
+    file. Raises :class:`BundleError` if something else is there, and :class:`OutputError` if it cannot be written.
+    """
 
     def __init__(self, url: str) -> None:
-        self._url = str(url)
-        self._target = local_path(self._url)
+        self._place = place_of(str(url))
         self._gofs: list[GofFiles] = []
-        self._open: GofWriter | None = None
         self._committed = False
-        if self._target is not None:
-            self._check_target(self._target)
-            self._scratch = self._target.parent / f".{self._target.name}.partial-{os.getpid()}"
-            remove_tree(self._scratch)
-            _remove_abandoned(self._target)
-            place = str(self._scratch)
-        else:
-            place = self._url
-        self._fs, self._path = filesystem(place)
-        self._prepare()
 
     def __enter__(self) -> BundleWriter:
         return self
@@ -73,15 +62,12 @@ class BundleWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._open is not None:
-            self._open.abort()
         if not self._committed:
-            self._discard()
+            self._place.discard()
 
     def open_gof(self, first_frame: int, lods: int) -> GofWriter:
         """Begin the next group of frames; close it before the next is opened."""
-        self._open = GofWriter(self, len(self._gofs), first_frame, lods)
-        return self._open
+        return GofWriter(self, len(self._gofs), first_frame, lods)
 
     def codebooks(self, data: bytes) -> None:
         """Write the serialised codebooks."""
@@ -98,67 +84,17 @@ class BundleWriter:
         complete = replace(manifest, gofs=tuple(self._gofs))
         with self.open_file(MANIFEST_NAME) as file:
             file.write(complete.to_json())
-        if self._target is not None:
-            self._swap_in(self._target)
+        self._place.finish()
         self._committed = True
         return complete
 
-    def open_file(self, name: str) -> Any:
-        """A binary file of the bundle, for writing. Raises :class:`BundleError`."""
-        try:
-            return self._fs.open(f"{self._path}/{name}", "wb")
-        except OSError as error:
-            raise BundleError(f"{self._url}: {name} cannot be written ({error.strerror or error})") from error
+    def open_file(self, name: str) -> OutputFile:
+        """A binary file of the bundle, for writing. Raises :class:`OutputError`, as do its methods."""
+        return self._place.open(name)
 
     def add_gof(self, files: GofFiles) -> None:
         """Record a closed group."""
-        self._open = None
         self._gofs.append(files)
-
-    def _check_target(self, target: Path) -> None:
-        if target.is_file() or (target.is_dir() and any(target.iterdir()) and not (target / MANIFEST_NAME).is_file()):
-            raise BundleError(f"{self._url}: exists and is not a bundle; give another name, nothing was overwritten")
-
-    def _prepare(self) -> None:
-        try:
-            self._fs.makedirs(f"{self._path}/source", exist_ok=True)
-            if self._target is None and self._fs.exists(f"{self._path}/{MANIFEST_NAME}"):
-                self._fs.rm_file(f"{self._path}/{MANIFEST_NAME}")
-        except OSError as error:
-            raise BundleError(f"{self._url}: cannot be written ({error.strerror or error})") from error
-
-    def _swap_in(self, target: Path) -> None:
-        old = target.parent / f".{target.name}.replaced-{os.getpid()}"
-        remove_tree(old)
-        try:
-            if target.exists():
-                target.rename(old)
-            self._scratch.rename(target)
-        except OSError as error:
-            if old.exists() and not target.exists():
-                old.rename(target)
-            raise BundleError(f"{self._url}: cannot be put in place ({error.strerror})") from error
-        remove_tree(old)
-
-    def _discard(self) -> None:
-        if self._target is not None:
-            remove_tree(self._scratch)
-        elif self._fs.exists(self._path):
-            self._fs.rm(self._path, recursive=True)
-
-
-def _remove_abandoned(target: Path) -> None:
-    """Delete what killed processes of this machine left of the same bundle."""
-    for scratch in target.parent.glob(f".{glob.escape(target.name)}.partial-*"):
-        pid = scratch.name.rpartition("-")[2]
-        if not pid.isdecimal():
-            continue
-        try:
-            os.kill(int(pid), 0)
-        except ProcessLookupError:
-            remove_tree(scratch)
-        except (PermissionError, OverflowError):
-            continue  # somebody else's process, or no process id
 
 
 class GofWriter:
@@ -203,11 +139,6 @@ class GofWriter:
         source_end = len(SOURCE_MAGIC) + sum(size for size, _ in self._sources)
         self._bundle.add_gof(GofFiles(tiles, self._finish(1, source_end, encode_source_index(self._sources))))
 
-    def abort(self) -> None:
-        """Close the files without an index."""
-        for file in self._files:
-            file.close()
-
     def _finish(self, which: int, offset: int, index: bytes) -> FileEntry:
         self._files[which].write(index)
         self._files[which].close()
@@ -218,3 +149,22 @@ def _entry(index: int, tile: TilePayloads) -> TileEntry:
     sizes = tuple(len(payload) for payload in tile.payloads)
     crcs = tuple(map(crc32, tile.payloads))
     return TileEntry(index, tile.splats, tile.first_id, tile.bounds, sizes, crcs, tile.kind, tile.looks, tile.span)
+
+
+def store_weights(url: str, data: bytes) -> None:
+    """Put ``data``, weights of a restorer, into the bundle at ``url``, for servers to offer.
+
+    The manifest is replaced last, by renaming: readers find the old weights or the new ones, never half of them. Raises
+    :class:`BundleError`.
+    """
+    if len(data) > MAX_WEIGHTS_BYTES:
+        raise BundleError(f"{url}: {len(data)} bytes of weights are more than the allowed {MAX_WEIGHTS_BYTES}")
+    manifest = Manifest.from_json(UrlStore(url).read_all(MANIFEST_NAME, MAX_MANIFEST_BYTES))
+    old, new = manifest.weights_crc, crc32(data)
+    replace_files(url, {weights_name(new): data, MANIFEST_NAME: replace(manifest, weights_crc=new).to_json()})
+    if old is not None and old != new:
+        files, path = filesystem(url)
+        try:
+            files.rm_file(f"{path}/{weights_name(old)}")
+        except OSError as error:
+            raise BundleError(f"{url}: old weights stay there ({error.strerror or error})") from error

@@ -8,6 +8,9 @@ from cags_common.errors import BundleError, ConfigError
 from cags_common.tiles.lod import LodLayer, check_order
 from cags_common.tiles.svq import CodebookSet
 
+NAMED_ORDERS = ("measured", "paper")
+"""Values of the setting that name no file."""
+
 # Position of an attribute's first layer, in layers after the first of scale. Coarse scales tear surfaces apart; errors
 # of rotations are the next most visible, then colours, then opacity (paper, supplement, "LoD Assignment").
 _LATENESS = {
@@ -35,15 +38,24 @@ def order_of(name: str, books: CodebookSet) -> tuple[LodLayer, ...]:
 
     For ``measured``, the paper's order is the initial one.
     """
-    return paper_order(books) if name in ("paper", "measured") else _read_order(Path(name), books)
+    if name in NAMED_ORDERS:
+        return paper_order(books)
+    order = order_in_file(name)
+    try:
+        check_order(order, {book.attribute: book.enhancement_layers for book in books})
+    except BundleError as error:
+        raise ConfigError(f"{name}: {error}") from error
+    return order
 
 
-def _read_order(path: Path, books: CodebookSet) -> tuple[LodLayer, ...]:
+def order_in_file(name: str) -> tuple[LodLayer, ...]:
+    """The order in the file ``name``, not compared with the codebooks' layers. Raises :class:`ConfigError`."""
+    path = Path(name)
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(
-            f"lod_order = {str(path)!r} is not 'measured' or 'paper' and cannot be read as a file ({error})"
+            f"lod_order = {name!r} is not 'measured' or 'paper' and cannot be read as a file ({error})"
         ) from error
     order = []
     for number, line in enumerate(lines, start=1):
@@ -53,8 +65,4 @@ def _read_order(path: Path, books: CodebookSet) -> tuple[LodLayer, ...]:
         if len(words) != 2 or not words[1].isdecimal():
             raise ConfigError(f"{path}:{number}: {line!r} must be 'attribute layer', like 'scale 1'")
         order.append(LodLayer(words[0], int(words[1])))
-    try:
-        check_order(order, {book.attribute: book.enhancement_layers for book in books})
-    except BundleError as error:
-        raise ConfigError(f"{path}: {error}") from error
     return tuple(order)

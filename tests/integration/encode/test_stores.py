@@ -44,10 +44,18 @@ def check_store(url: str, folder: Path) -> None:
     encode(frames[:1], replace(FAST, seed=1), url)
     with BundleReader.open(url) as reader:
         assert reader.manifest.frames == 1
+    before = files_at(url)
     with pytest.raises(SceneError, match="SH degree"):
         encode([cloud(20), cloud(20, 0, 1)], FAST, url)
-    with pytest.raises(BundleError, match=r"has no manifest\.json"):
-        BundleReader.open(url)
+    assert files_at(url) == before, "nothing was written yet"
+
+    def stop(stage: str, done: int, total: int) -> None:
+        if stage == "encode":
+            raise SceneError("no more")
+
+    with pytest.raises(SceneError, match="no more"):
+        encode(frames, FAST, url, stop)
+    assert files_at(url) == {}
 
 
 def test_memory(tmp_path: Path) -> None:

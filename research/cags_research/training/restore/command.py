@@ -103,7 +103,7 @@ def _aim_at_bundle(arguments: argparse.Namespace) -> None:
 
 def _store(weights: Weights, trainer: Trainer, bundle: str) -> None:
     """Put the weights into the bundle, if they are better than those that training began with."""
-    from cags_common.bundle.weights import store_weights
+    from cags_common.bundle.writer import store_weights
 
     if trainer.history[-1].gain_db <= trainer.history[0].gain_db:
         print(f"{bundle}: training made the weights no better than at its start; nothing is stored", file=sys.stderr)

@@ -8,7 +8,7 @@ import pytest
 from cags_common.bundle import BundleReader, BundleWriter, LodLayer, Manifest, SourceDelta, TilePayloads
 from cags_common.bundle.source import decode_source, encode_source
 from cags_common.bundle.store import UrlStore
-from cags_common.bundle.weights import store_weights
+from cags_common.bundle.writer import store_weights
 from cags_common.errors import BundleError, CagsError, DecodeError
 from cags_common.tiles.payloads import PositionGrid, encode_base, encode_layer
 from support.codec_scenes import books, cloud

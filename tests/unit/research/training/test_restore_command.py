@@ -13,7 +13,7 @@ from cags_bench.sim.session import Scenario, simulate
 from cags_client.settings import ClientSettings
 from cags_common.bundle import BundleReader
 from cags_common.bundle.codecs import tile_codec
-from cags_common.bundle.weights import store_weights
+from cags_common.bundle.writer import store_weights
 from cags_common.cli import EXIT_USAGE
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.store.tile_decode import Arrival
