@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from cags_common.cli import command_parser, run_command
-from cags_common.errors import ConfigError
+from cags_common.errors import BundleError, ConfigError, DecodeError
 from cags_common.settings import add_settings, given_flags, load_settings
 from cags_encoder.settings import CommandSettings
 
@@ -121,11 +122,13 @@ def _encode(arguments: argparse.Namespace) -> None:
     from cags_encoder.scenes import open_scene
 
     source, out = open_scene(arguments.scene), arguments.out
-    key = content_key(arguments.scene, settings.encoding)
-    resume = Resume(resume_folder(out, key), key) if settings.resume else None
+    resume = None
+    if settings.resume:
+        key = content_key(arguments.scene, settings.encoding)
+        resume = Resume(resume_folder(out, key), key)
     with open_workers(settings.workers, settings.scheduler) as workers, progress_bar(lines=True) as progress:
         encode(source, settings.encoding, out, progress, workers=workers, resume=resume)
-    with BundleReader.open(out) as reader:
+    with _naming(out), BundleReader.open(out) as reader:
         found = summarise(reader, out)
     pruned = found["pruning"]
     text = (
@@ -142,7 +145,7 @@ def _inspect(url: str, picture: str | None, *, as_json: bool) -> None:
     from cags_encoder.bundles.describe import describe, lines
     from cags_encoder.bundles.plot import plot
 
-    with BundleReader.open(url) as reader:
+    with _naming(url), BundleReader.open(url) as reader:
         found = describe(reader, url)
     if picture:
         plot(found, Path(picture))
@@ -154,7 +157,7 @@ def _verify(url: str, *, as_json: bool) -> None:
     from cags_encoder.bundles.verify import verify
     from cags_encoder.execution.progress import progress_bar
 
-    with BundleReader.open(url) as reader, progress_bar(lines=True) as progress:
+    with _naming(url), BundleReader.open(url) as reader, progress_bar(lines=True) as progress:
         payloads = verify(reader, url, lambda done, total: progress("verify", done, total))
         frames = reader.manifest.frames
     found = {"bundle": url, "whole": True, "frames": frames, "payloads": payloads}
@@ -164,7 +167,8 @@ def _verify(url: str, *, as_json: bool) -> None:
 def _export(url: str, place: str, file: str, *, as_json: bool) -> None:
     from cags_encoder.bundles.export import export
 
-    splats, name = export(url, place, Path(file))
+    with _naming(url):
+        splats, name = export(url, place, Path(file))
     found = {"bundle": url, "place": place, "file": file, "format": name, "splats": splats}
     _say(found, f"{file}: {splats} splats as {name}", as_json=as_json)
 
@@ -174,20 +178,33 @@ def _set_view(url: str, file: str, *, as_json: bool) -> None:
     from cags_encoder.bundles.author import set_view
 
     view = read_view(file)
-    set_view(url, view)
+    with _naming(url):
+        set_view(url, view)
     _say({"bundle": url, "view": view.table()}, f"{url}: view of {file} stored", as_json=as_json)
 
 
 def _publish(url: str, folder: str, *, as_json: bool) -> None:
     from cags_encoder.bundles.publish import built_page, publish
 
-    written = publish(url, Path(folder), built_page())
+    with _naming(url):
+        written = publish(url, Path(folder), built_page())
     text = (
         f"{folder}: {written.files} files, {written.bytes / 1e6:.1f} MB; upload them to any web host that serves ranges"
     )
     if not written.page:
         text += "; without the viewer's page, which is not built on this machine"
     _say(asdict(written), text, as_json=as_json)
+
+
+@contextmanager
+def _naming(url: str) -> Iterator[None]:
+    """Errors of what a bundle holds name the bundle."""
+    try:
+        yield
+    except (BundleError, DecodeError) as error:
+        if str(error).startswith(url):
+            raise
+        raise type(error)(f"{url}: {error}") from error
 
 
 def _say(found: dict[str, Any], text: str, *, as_json: bool) -> None:

@@ -18,6 +18,8 @@ def plot(found: Description, path: Path) -> None:
 
     Raises :class:`BundleError` for unknown formats and :class:`OutputError` if the file cannot be written.
     """
+    if not path.suffix:  # matplotlib would write another name, with a suffix of its choice
+        raise _no_picture(path)
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12, 8), layout="constrained")
@@ -39,7 +41,11 @@ def plot(found: Description, path: Path) -> None:
     except OSError as error:
         raise OutputError.of(path, error) from error
     except ValueError as error:
-        raise BundleError(f"{path}: is no kind of picture; give a name that ends in .png, .svg or .pdf") from error
+        raise _no_picture(path) from error
+
+
+def _no_picture(path: Path) -> BundleError:
+    return BundleError(f"{path}: is no kind of picture; give a name that ends in .png, .svg or .pdf")
 
 
 def _frames(axis: Axes, frames: list[Any]) -> None:

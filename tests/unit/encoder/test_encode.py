@@ -8,7 +8,7 @@ import pytest
 from cags_common.bundle import BundlePlayer, BundleReader, SourceFrame
 from cags_common.errors import CagsError, ConfigError, SceneError
 from cags_common.splats import Splats
-from cags_encoder import EncodeSettings, content_key, encode
+from cags_encoder import EncodeSettings, encode
 from cags_encoder.cli import main
 from cags_encoder.tracks.effect import visible_effect
 from support.codec_scenes import cloud, with_changes
@@ -159,16 +159,6 @@ def test_an_order_from_a_file(tmp_path: Path) -> None:
     lines.write_text("scale 2")
     with pytest.raises(ConfigError, match="expected layer 1"):
         encode([cloud(300)], settings, str(tmp_path / "out"))
-
-
-def test_content_keys_tell_scenes_files_and_settings_apart(tmp_path: Path) -> None:
-    scene = tmp_path / "a.ply"
-    scene.write_bytes(b"x")
-    key = content_key(str(scene), FAST)
-    assert key == content_key(str(scene), FAST) != content_key(str(scene), EncodeSettings())
-    scene.write_bytes(b"xy")
-    assert key != content_key(str(scene), FAST)
-    assert content_key("procedural:size=10", FAST) != content_key("procedural:size=11", FAST)
 
 
 def test_the_command_says_what_is_wrong_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
