@@ -63,7 +63,7 @@ async def play(
     """Play to the end of the clip or of ``settings.duration``. Raises :class:`CagsError` for an early end. After an
     interrupt or a request to end, it returns the results up to then.
 
-    ``url`` may name several servers, separated by commas. The first that answers is used; after a dropped connection
+    ``url`` may name several servers, separated by commas. The first that has room is used; after a dropped connection
     the same server is tried, and then the next.
     """
     settings = looked_at(settings, sinks)
@@ -78,6 +78,7 @@ async def play(
         live=live,
         clock=time.perf_counter,
         rng=random.Random(),  # noqa: S311 - spreads attempts in time
+        others=endpoints.others,
     )
     shell = Shell(transport, player, sinks, on_frame, endpoints.again)
     try:
@@ -164,6 +165,7 @@ class Shell:
             self.player.handle_timer(now_us())
         self._line.send(self.player.data_to_send(now_us()))
         if self.player.wants_connection(now_us()):
+            self._reader.cancel()  # now: its end would count as the end of the attempt
             self._coming_back = self._start(self._come_back())
         while (action := self.player.next_action(now_us())) is not None:
             self._start(self._decode(action) if isinstance(action, Decode) else self._present(action))
@@ -198,7 +200,6 @@ class Shell:
 
     async def _come_back(self) -> None:
         """Open another connection to replace the lost one, from which nothing more is read."""
-        self._reader.cancel()
         await asyncio.gather(self._reader, return_exceptions=True)
         old = self._line
         try:

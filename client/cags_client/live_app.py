@@ -191,6 +191,7 @@ async def watch_live(
             live=live,
             clock=time.perf_counter,
             rng=random.Random(),  # noqa: S311 - spreads attempts in time
+            others=endpoints.others,
         )
 
         def kept(record: dict[str, Any]) -> None:

@@ -89,6 +89,24 @@ def test_another_server_takes_over_when_one_is_killed(bundle: Path, tmp_path: Pa
     assert not frames[-1]["missed"]
 
 
+def test_a_full_server_is_skipped_at_the_start(bundle: Path, tmp_path: Path) -> None:
+    report = tmp_path / "frames.jsonl"
+    with ProcessGroup(tmp_path) as group:
+        start = ["--bundle", str(bundle), "--port", "0", "--json"]
+        servers = [group.start("cags_server", [*start, *limit]) for limit in (["--max-clients", "1"], [])]
+        urls = [f"ws://127.0.0.1:{server.ready()['port']}/stream" for server in servers]
+        watch(group, urls[0], tmp_path / "other.jsonl")
+        until(lambda: plays(servers[0]))
+        brief = [*SIZE, "--duration", "0.5"]
+        client = group.start("cags_client", ["--url", ",".join(urls), *brief, "--json", str(report)])
+        _, summary = outcome(client, report)
+        assert plays(servers[1])
+        alone = group.start("cags_client", ["--url", urls[0], *brief])
+        assert alone.handle.wait(60) == 1
+        assert "1 clients are here already; try again later" in alone.last_words()
+    assert summary["reconnects"] == 0
+
+
 def test_a_server_that_shuts_down_in_order_hands_its_clients_over(bundle: Path, tmp_path: Path) -> None:
     report = tmp_path / "frames.jsonl"
     with ProcessGroup(tmp_path) as group:

@@ -65,14 +65,20 @@ class Endpoints:
                     raise
         raise AssertionError("there is at least one address")
 
+    @property
+    def others(self) -> int:
+        """How many addresses :meth:`first` has left unasked."""
+        return len(self._urls) - self._current - 1
+
     async def again(self, attempt: int) -> Transport:
         """A connection for the ``attempt``-th try (from 1) after a loss: the same server first, then the next.
 
+        Attempt 0 is one before the first session, after a server that answered had no room: always the next server.
         Raises :class:`NetworkError`.
         """
-        if attempt > 1:
+        if attempt != 1:
             self._current = (self._current + 1) % len(self._urls)
-        return await self._open(AGAIN_TIMEOUT_S)
+        return await self._open(AGAIN_TIMEOUT_S if attempt else FIRST_TIMEOUT_S)
 
     async def _open(self, timeout_s: float) -> Transport:
         return await websocket.connect(

@@ -1,4 +1,7 @@
-"""When a dropped connection is opened again: at once first, then ever more seldom, until patience ends. No clock."""
+"""When a connection is opened again: at once first, then ever more seldom, until patience ends. No clock.
+
+Before the first session there is nothing to take up: each server is asked once.
+"""
 
 from __future__ import annotations
 
@@ -18,19 +21,22 @@ LASTING_US = 2_000_000
 class Reconnect:
     """The attempts after one loss. Times are the client's clock."""
 
-    def __init__(self, patience_us: int, rng: random.Random) -> None:
-        """Attempts go on for ``patience_us`` after a loss; 0: there are none."""
+    def __init__(self, patience_us: int, rng: random.Random, others: int = 0) -> None:
+        """Attempts go on for ``patience_us`` after a loss; 0: there are none. Before the first session (the first
+        :meth:`restored`) there is one attempt, at once, for each of ``others``, the servers not asked yet.
+        """
         self.attempts = 0
         """Attempts since a connection that lasted was lost."""
-        self._patience_us, self._rng = patience_us, rng
+        self._patience_us, self._rng, self._others = patience_us, rng, others
+        self._joined = False
         self._lost_us: int | None = None
         self._restored_us: int | None = None
         self._due_us: int | None = None  # None while connected and while an attempt is under way
 
     @property
     def possible(self) -> bool:
-        """Whether a lost connection is tried again at all."""
-        return self._patience_us > 0
+        """Whether there is another attempt after a loss now."""
+        return self._patience_us > 0 if self._joined else self._others > 0
 
     @property
     def away(self) -> bool:
@@ -48,7 +54,8 @@ class Reconnect:
             self._lost_us = now_us
             if self._restored_us is None or now_us - self._restored_us >= LASTING_US:
                 self.attempts = 0
-        delay_us = 0.0 if self.attempts == 0 else FIRST_DELAY_US * GROWTH ** (self.attempts - 1)
+        at_once = self.attempts == 0 or not self._joined
+        delay_us = 0.0 if at_once else FIRST_DELAY_US * GROWTH ** (self.attempts - 1)
         self._due_us = now_us + round(min(delay_us, MAX_DELAY_US) * (1 - JITTER * self._rng.random()))
 
     def begin(self, now_us: int) -> bool:
@@ -57,20 +64,22 @@ class Reconnect:
             return False
         self._due_us = None
         self.attempts += 1
+        self._others -= not self._joined
         return True
 
     def restored(self, now_us: int) -> None:
-        """The session goes on."""
+        """There is a session: the first one, or it goes on."""
+        self._joined = True
         self._lost_us = self._due_us = None
         self._restored_us = now_us
 
     def expired(self, now_us: int) -> bool:
         """Whether patience has ended."""
-        return self._lost_us is not None and now_us - self._lost_us >= self._patience_us
+        return self._joined and self._lost_us is not None and now_us - self._lost_us >= self._patience_us
 
     def next_timer_us(self) -> int | None:
         """When an attempt is due or patience ends; None while connected."""
-        if self._lost_us is None:
-            return None
+        if self._lost_us is None or not self._joined:
+            return self._due_us
         end_us = self._lost_us + self._patience_us
         return end_us if self._due_us is None else min(self._due_us, end_us)

@@ -53,6 +53,8 @@ class InteractivePlayer(Player):
         if self.playing:
             return
         self.playing = True
+        if self.stats.started_us is None:  # the play begins by itself, once the first frame has come
+            return
         if self.frame >= self._last_frame:
             self._tell("play", self.frame, now_us, now_us)
             self.seek(0)

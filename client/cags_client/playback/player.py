@@ -5,9 +5,10 @@ A shell moves bytes (``receive``, ``data_to_send``), sleeps until ``next_timer_u
     while (action := player.next_action(now_us)) is not None:
         player.done(action, action.run(), now_us)      # inline, or in an executor
 
-A dropped connection does not end playback. The picture is held and re-projected while ``wants_connection`` asks the
-shell to open another; the shell answers by ``connected``, or by ``lost``, and is asked again later. The new session
-learns what the client holds, so that nothing is sent twice, and where playback stands.
+At the start each server is asked once. Later a dropped connection does not end playback. The picture is held and
+re-projected while ``wants_connection`` asks the shell to open another; the shell answers by ``connected``, or by
+``lost``, and is asked again later. The new session learns what the client holds, so that nothing is sent twice, and
+where playback stands.
 
 ``Decode`` actions must run one after another, and so must ``Present`` actions, but the two kinds run in parallel. All
 times are those of the client's clock, which is the session's master clock.
@@ -65,8 +66,11 @@ class Player:
         live: LiveSettings | None = None,
         clock: Callable[[], float] = lambda: 0.0,
         rng: random.Random | None = None,
+        others: int = 0,
     ) -> None:
-        """``session`` is the first one; ``rng`` randomises the intervals between attempts to reconnect."""
+        """``session`` is the first one; ``rng`` randomises the intervals between attempts to reconnect. ``others`` are
+        the servers to ask if the first one is full, or ends the session before it has begun.
+        """
         self.settings = settings
         self.live = live or LiveSettings(settings)
         self.pipeline: ClientPipeline | None = None
@@ -78,7 +82,7 @@ class Player:
         self._session, self._clock = session, clock
         self._viewpoint = Viewpoint(poses, settings.pose_rate, settings.start_delay_ms * 1000, now_us)
         self._made_us, self._near = now_us, near
-        self._reconnect = Reconnect(round(settings.reconnect_s * 1e6), rng or random.Random(0))  # noqa: S311
+        self._reconnect = Reconnect(round(settings.reconnect_s * 1e6), rng or random.Random(0), others)  # noqa: S311
         self._lost_us = 0
         self._why_away = NetworkError("the connection was lost")
         self.rejoining = False
@@ -89,8 +93,11 @@ class Player:
         self._weights: bytes | None = None
         self._decode_queue = DecodeQueue()
         self._restarts_due = 0  # jumps that discarded everything and that the server does not know of yet
-        self._timeline: Timeline  # set with the manifest, like the next tick to display and the tick to end before
+        self._timeline = Timeline(fps=1.0, frames=1)
+        """The clip's timeline once the manifest has come, which the ticks below count on too; one frame until then."""
         self._presenting, self._next_tick, self._end_tick = False, 0, 1
+        self._asked_by = self._timeline
+        """The timeline when the session was asked for, to notice what the viewer requested meanwhile."""
         self._preview_due = False  # more of the first frame has arrived than was shown
         self._startup = Startup(settings.startup_ms * 1000, now_us)
         self._quality = Quality(SCALES[self.live.resolution], 1e6 / settings.display_rate, skips=settings.drop_late)
@@ -154,7 +161,7 @@ class Player:
         self._session.connection_lost(reason, now_us=now_us)
         self._pump(now_us)
         if attempt and self._reconnect.trying:  # there was no session yet to report the end
-            self._reconnect.lost(now_us)
+            self._try_again(now_us)
 
     @property
     def away(self) -> bool:
@@ -163,8 +170,10 @@ class Player:
 
     @property
     def attempts(self) -> int:
-        """Attempts to reconnect since the connection was lost, including the current one."""
-        return self._reconnect.attempts
+        """Attempts to reconnect since the connection was lost, including the current one; 0 before the first session,
+        when no server is tried twice.
+        """
+        return 0 if self._welcome is None else self._reconnect.attempts
 
     def wants_connection(self, now_us: int) -> bool:
         """Whether to open a connection now. Answer by :meth:`connected` or :meth:`lost`."""
@@ -172,7 +181,7 @@ class Player:
 
     def connected(self, now_us: int) -> None:
         """A new connection is open: send a Hello with the inventory of held tiles."""
-        self._session = ClientSession(RESUMING, now_us=now_us)
+        self._session = ClientSession(None if self._welcome is None else RESUMING, now_us=now_us)
         self._restarts_due = 0
         self._resume_at, self._asked_by = self._state_of_play(now_us), self._timeline
         frame = self.settings.start_frame if self._resume_at is None else self._resume_at.frame
@@ -296,20 +305,28 @@ class Player:
             self._why_away = NetworkError(why)
         elif code != "refused":
             self._why_away = NetworkError(f"the session ended early ({code}: {reason})")
-        if code in FATAL_ENDS or self._welcome is None or not self._reconnect.possible:
+        if code in FATAL_ENDS:
             self._fail(self._why_away)
             return
         if not self._reconnect.away:
             self._lost_us = now_us
         self.rejoining = False
-        self._reconnect.lost(now_us)
+        self._try_again(now_us)
+
+    def _try_again(self, now_us: int) -> None:
+        """Ask for another connection, if there may be one."""
+        if self._reconnect.possible:
+            self._reconnect.lost(now_us)
+        else:
+            self._fail(self._why_away)
 
     def _on_welcome(self, welcome: Welcome, now_us: int) -> None:
         if self.pipeline is not None and self._welcome is not None and welcome.info != self._welcome.info:
             self._fail(NetworkError("the server streams another scene now; start the client again"))
             return
-        if self._reconnect.away:
-            self._reconnect.restored(now_us)
+        taken_up = self._reconnect.away and self._welcome is not None
+        self._reconnect.restored(now_us)
+        if taken_up:
             if not welcome.resumed:  # everything is sent again
                 self._decode_queue.add(Restarted())
             if not self.rejoining:

@@ -29,6 +29,9 @@ MAX_SAMPLES = 2_000_000
 MAX_DURATION_S = 1e8
 """Three years: beyond, times are in another unit, or damaged, and would not fit microseconds."""
 
+MAX_POSITION_M = 1e6
+"""A thousand kilometres: beyond, positions are in another unit, or damaged, and their squares soon overflow."""
+
 MIN_QUATERNION_NORM, MAX_QUATERNION_NORM = 0.9, 1.1
 """A recorded quaternion further from unit length than this is damage, not rounding."""
 
@@ -196,6 +199,9 @@ def _row(where: str, cells: list[str]) -> list[float]:
         raise TraceError(f"{where}: {error}") from error
     if not all(math.isfinite(v) for v in values):
         raise TraceError(f"{where}: holds a number that is not finite")
+    far = max(values[1:4], key=abs)
+    if abs(far) > MAX_POSITION_M:
+        raise TraceError(f"{where}: position {far:g} is beyond {MAX_POSITION_M:g}; give positions in metres")
     norm = math.hypot(*values[4:])
     if not MIN_QUATERNION_NORM <= norm <= MAX_QUATERNION_NORM:
         raise TraceError(f"{where}: quaternion of length {norm:.4f}, expected 1")

@@ -202,7 +202,9 @@ def _why_refused(error: Any) -> str:
     if status < 300:
         return "is a page and no stream; a server's stream is at ws://HOST:PORT/stream"
     text = bytes(error.response.body or b"")[:200].decode(errors="replace").strip()
-    return f"refused with HTTP {status}" + (f" ({text.splitlines()[0]})" if text else "")
+    elsewhere = status == 404 and not text.startswith("{")  # a cags-server's own reasons are JSON
+    hint = "; a server's stream is at ws://HOST:PORT/stream" if elsewhere else ""
+    return f"refused with HTTP {status}" + (f" ({text.splitlines()[0]})" if text else "") + hint
 
 
 def _why_closed(error: Any) -> str:

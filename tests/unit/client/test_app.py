@@ -26,8 +26,8 @@ from cags_common.tiles.inventory import InventoryEntry
 from cags_common.transport import MemoryTransport, memory_pair
 from cags_protocol import ClientSession
 from cags_protocol import events as ev
-from cags_protocol.wire.encoding import encode
-from cags_protocol.wire.messages import Fragment, TileLayers, Welcome
+from cags_protocol.wire.encoding import decode, encode
+from cags_protocol.wire.messages import Fragment, Hello, Refusal, TileLayers, Welcome
 from support.small_store import books, manifest
 
 MANIFEST = Manifest("t", 30.0, 3, (0,), (1,), 0, ((0, 0, 0), (1, 1, 1)), (), ())
@@ -176,6 +176,37 @@ def stalled_shell() -> tuple[Shell, Stalled, MemoryTransport]:
     link = Stalled(ours)
     made = Player(ClientSession(now_us=now_us()), ClientSettings(), Still(), now_us=now_us())
     return Shell(link, made, (), None, nowhere), link, theirs
+
+
+async def test_the_end_of_a_server_that_refused_is_not_that_of_the_attempt_at_the_next() -> None:
+    """A server hangs up after it has refused; the next one is being connected to by then."""
+    first, second = memory_pair(), memory_pair()
+    tried: list[int] = []
+
+    async def connect(attempt: int) -> MemoryTransport:
+        tried.append(attempt)
+        await asyncio.sleep(0.02)
+        return second[0]
+
+    made = Player(ClientSession(now_us=now_us()), ClientSettings(), Still(), now_us=now_us(), others=1)
+    client = Shell(first[0], made, (), None, connect)
+    wants = made.wants_connection
+
+    def wants_connection(now_us: int) -> bool:
+        if wanted := wants(now_us):
+            first[1].abort()
+        return wanted
+
+    made.wants_connection = wants_connection  # type: ignore[method-assign]
+    await first[1].send(encode(Refusal("full", "", "it is full")))
+    running = asyncio.create_task(client.run())
+    async with asyncio.timeout(5):
+        assert type(decode(await second[1].recv())[0]) is Hello
+        await second[1].send(encode(Welcome("s", 30.0, 3, False, b"no manifest")))
+        await running
+    client.close()
+    assert tried == [0]
+    assert isinstance(made.error, BundleError), "what the second server says counts"
 
 
 async def test_a_link_that_stalls_keeps_nothing_from_being_read(monkeypatch: pytest.MonkeyPatch) -> None:

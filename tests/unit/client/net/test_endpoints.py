@@ -43,6 +43,15 @@ async def test_the_first_server_that_answers_is_used_and_asked_first_after_a_los
     assert await servers.again(3) == B
 
 
+async def test_before_the_first_session_each_attempt_is_for_the_next_server(asked: list[str]) -> None:
+    c = "ws://c:3/stream"
+    servers = endpoints.Endpoints(f"{A},{B},{c}")
+    assert await servers.first() == B
+    assert servers.others == 1
+    assert await servers.again(0) == c
+    assert servers.others == 0
+
+
 async def test_if_none_answers_the_last_ones_reason_is_given(asked: list[str]) -> None:
     with pytest.raises(NetworkError, match="//a2"):
         await endpoints.Endpoints("ws://a1/stream,ws://a2/stream").first()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import random
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -28,6 +29,7 @@ def attempts(reconnect: Reconnect, until_us: int) -> list[int]:
 
 def test_the_first_attempt_is_made_at_once_and_the_others_ever_more_seldom() -> None:
     reconnect = Reconnect(10 * SECOND, random.Random(1))
+    reconnect.restored(0)
     reconnect.lost(0)
     times = attempts(reconnect, 60 * SECOND)
     assert times[0] == 0
@@ -39,6 +41,7 @@ def test_the_first_attempt_is_made_at_once_and_the_others_ever_more_seldom() -> 
 @given(st.integers(0, 2**32), st.integers(1, 30))
 def test_waits_are_bounded_and_patience_ends(seed: int, patience_s: int) -> None:
     reconnect = Reconnect(patience_s * SECOND, random.Random(seed))
+    reconnect.restored(0)
     reconnect.lost(0)
     times = attempts(reconnect, 100 * SECOND)
     waits = [b - a for a, b in itertools.pairwise(times)]
@@ -51,6 +54,7 @@ def test_clients_do_not_come_back_in_step() -> None:
     several = []
     for seed in range(8):
         reconnect = Reconnect(10 * SECOND, random.Random(seed))
+        reconnect.restored(0)
         reconnect.lost(0)
         several.append(tuple(attempts(reconnect, 5 * SECOND)))
     assert len({times[1:] for times in several}) == 8
@@ -61,6 +65,7 @@ def test_an_attempt_is_under_way_until_it_is_answered() -> None:
     reconnect = Reconnect(SECOND, random.Random(0))
     assert not reconnect.away
     assert reconnect.next_timer_us() is None
+    reconnect.restored(1)
     reconnect.lost(5)
     assert reconnect.begin(5)
     assert reconnect.trying
@@ -73,6 +78,7 @@ def test_an_attempt_is_under_way_until_it_is_answered() -> None:
 
 def test_a_server_that_lets_in_and_hangs_up_is_asked_ever_more_seldom() -> None:
     reconnect, now_us, times = Reconnect(10 * SECOND, random.Random(2)), 0, []
+    reconnect.restored(now_us)
     reconnect.lost(now_us)
     while now_us < 20 * SECOND:
         timer_us = reconnect.next_timer_us()
@@ -86,3 +92,18 @@ def test_a_server_that_lets_in_and_hangs_up_is_asked_ever_more_seldom() -> None:
     reconnect.restored(now_us)
     reconnect.lost(now_us + LASTING_US)
     assert reconnect.begin(now_us + LASTING_US), "a session that lasted is taken up at once"
+
+
+@pytest.mark.parametrize("patience_s", [0, 10])
+def test_before_the_first_session_each_other_server_is_asked_once_and_at_once(patience_s: int) -> None:
+    reconnect, asked = Reconnect(patience_s * SECOND, random.Random(3), others=2), 0
+    while reconnect.possible:
+        reconnect.lost(asked)
+        assert reconnect.next_timer_us() == asked
+        assert reconnect.begin(asked)
+        asked += 1
+        assert reconnect.next_timer_us() is None, "an attempt has its own time limit"
+        assert not reconnect.expired(60 * SECOND)
+    assert asked == 2
+    reconnect.restored(asked)
+    assert reconnect.possible == (patience_s > 0), "from the first session on it is patience that counts"

@@ -325,6 +325,9 @@ def test_wishes_before_the_first_frame_do_no_harm() -> None:
     player.pause(0)
     player.seek(5)
     player.set_rate(2.0, 0)
+    player.set_loop(False, 0)
+    player.play(0)
+    assert player.playing
     assert session.controls == []
     assert player.next_action(10) is None
     player.leave(20)

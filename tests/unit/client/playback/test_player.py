@@ -20,6 +20,7 @@ from cags_protocol.sessions.blobs import CODEBOOKS_BLOB
 from cags_protocol.wire.encoding import encode
 from cags_protocol.wire.messages import (
     Blob,
+    Bye,
     Control,
     FrameEnd,
     Hello,
@@ -40,9 +41,9 @@ class Still:
         return Pose.identity()
 
 
-def player(**changes: object) -> Player:
+def player(*, others: int = 0, **changes: object) -> Player:
     settings = ClientSettings(**{"width": 16, "height": 12, "reconnect_s": 5.0, "startup_ms": 0, **changes})  # type: ignore[arg-type]
-    return Player(ClientSession(now_us=0), settings, Still(), now_us=0, rng=random.Random(1))
+    return Player(ClientSession(now_us=0), settings, Still(), now_us=0, rng=random.Random(1), others=others)
 
 
 def welcome(**changes: object) -> bytes:
@@ -225,6 +226,45 @@ def test_before_the_welcome_a_lost_connection_is_the_end() -> None:
     client.lost("refused", 0)
     assert client.finished
     assert isinstance(client.error, NetworkError)
+
+
+@pytest.mark.parametrize("code", [RefusalCode.FULL, RefusalCode.INTERNAL, RefusalCode.TIMEOUT])
+def test_a_server_without_room_is_skipped_while_there_are_others(code: RefusalCode) -> None:
+    client = player(others=1, reconnect_s=0.0)
+    client.receive(encode(Refusal(code.value, "", "try again later")), 1)
+    assert not client.finished
+    assert client.wants_connection(1)
+    assert client.attempts == 0, "it goes to another server, not to the same one again"
+    client.connected(2)
+    server = joined(client)
+    assert not client.away
+    assert client.stats.reconnects == 0, "nothing was lost"
+    assert client.info is not None
+    client.lost("reset", 3)
+    assert client.finished, "reconnect_s = 0 counts from the first session on"
+    assert not server.closed
+
+
+@pytest.mark.parametrize("end", ["full", "bye", "lost"])
+def test_a_single_server_without_room_ends_the_play_at_once_with_its_reason(end: str) -> None:
+    client = player()
+    if end == "lost":
+        client.lost("reset", 1)
+    else:
+        client.receive(encode(Refusal("full", "", "it is full") if end == "full" else Bye("it is full")), 1)
+    assert client.finished
+    assert ("reset" if end == "lost" else "it is full") in str(client.error)
+
+
+def test_when_no_other_server_can_be_reached_the_reason_of_the_one_that_answered_is_given() -> None:
+    client = player(others=2)
+    client.receive(encode(Refusal("full", "", "it is full")), 1)
+    for now_us in (2, 3):
+        assert not client.finished
+        assert client.wants_connection(now_us)
+        client.lost("connection refused", now_us)
+    assert client.finished
+    assert "it is full" in str(client.error)
 
 
 def test_a_server_that_comes_back_with_another_scene_ends_the_play() -> None:

@@ -46,6 +46,7 @@ def write(tmp_path: Path, text: str) -> Path:
         (HEADER + "0,0,0,0,0,0,0,0\n", "quaternion of length 0.0000"),
         (HEADER + "0,0,0,0,1,0,0,0\n0,0,0,0,1,0,0,0\n", "line 3: time 0 s is not after"),
         (HEADER + "0,0,0,0,1,0,0,0\n1e-9,0,0,0,1,0,0,0\n", "less than a microsecond"),
+        (HEADER + "0,0,0,0,1,0,0,0\n1,0,-1e300,0,1,0,0,0\n", r"line 3: position -1e\+300 is beyond 1e\+06"),
         (HEADER + "0,0,0,0,1,0,0,0\n1e20,0,0,0,1,0,0,0\n", "lasts 1e.20 s, more than 1e.08 s"),
     ],
 )

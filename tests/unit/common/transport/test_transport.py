@@ -140,7 +140,9 @@ async def test_a_refused_connection_names_the_url():
 
 async def test_wrong_addresses_are_one_line():
     async with serving(echo) as url:
-        with pytest.raises(NetworkError, match="refused with HTTP 404"):
+        with pytest.raises(
+            NetworkError, match=r"refused with HTTP 404.*; a server's stream is at ws://HOST:PORT/stream"
+        ):
             await connect(url + "/nowhere", **PROTOCOL)
         with pytest.raises(NetworkError, match=r"is a page and no stream.*ws://HOST:PORT/stream"):
             await connect(url.removesuffix("stream"), **PROTOCOL)
