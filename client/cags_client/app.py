@@ -47,7 +47,18 @@ class Playback:
     frames: list[dict[str, Any]] = field(default_factory=list)
     """One record per presented frame (see :func:`cags_client.output.report.frame_stats`)."""
     ended_by: signal.Signals | None = None
-    """The reason for an early end; None for a normal end."""
+    """The signal that asked for the end, if any."""
+
+    @property
+    def error(self) -> CagsError | None:
+        """What has ended the play early, if anything."""
+        return self.player.error
+
+    def checked(self) -> Playback:
+        """Itself. Raises :attr:`error` if nothing was shown before it: there are no results then."""
+        if self.error is not None and not self.frames:
+            raise self.error
+        return self
 
 
 async def play(
@@ -60,8 +71,8 @@ async def play(
     live: LiveSettings | None = None,
     on_frame: Callable[[dict[str, Any]], None] | None = None,
 ) -> Playback:
-    """Play to the end of the clip or of ``settings.duration``. Raises :class:`CagsError` for an early end. After an
-    interrupt or a request to end, it returns the results up to then.
+    """Play to the end of the clip or of ``settings.duration``. After an interrupt, a request to end or an error
+    (:attr:`Playback.error`) it returns the results up to then. Raises :class:`CagsError` if nothing was shown.
 
     ``url`` may name several servers, separated by commas. The first that has room is used; after a dropped connection
     the same server is tried, and then the next.
@@ -81,14 +92,12 @@ async def play(
         others=endpoints.others,
     )
     shell = Shell(transport, player, sinks, on_frame, endpoints.again)
-    try:
-        with interrupts(shell.leave):
+    with interrupts(shell.leave):
+        try:
             await shell.run()
-    finally:
-        shell.close()
-    if shell.player.error is not None:
-        raise shell.player.error
-    return Playback(shell.player, shell.records, shell.ended_by)
+        finally:
+            shell.close()
+    return Playback(shell.player, shell.records, shell.ended_by).checked()
 
 
 def looked_at(settings: ClientSettings, sinks: Sequence[FrameSink]) -> ClientSettings:

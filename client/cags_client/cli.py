@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from cags_common.cli import EXIT_SIGNAL, command_parser, run_command
 from cags_common.errors import CagsError, ConfigError
-from cags_common.settings import add_flags, add_settings, load_settings
+from cags_common.settings import add_flags, add_settings, given_flags, load_settings
 
 if TYPE_CHECKING:
     from cags_client.output.page.settings import ViewSettings
@@ -76,7 +76,7 @@ def _parser() -> argparse.ArgumentParser:
         "--save",
         "--record",
         metavar="DIR|FILE.mp4",
-        help="write displayed frames, as a folder of PNG files or as a video",
+        help="write displayed frames, into a new folder as PNG files or as a video",
     )
     parser.add_argument("--headless", action="store_true", help="print no live table, even in a terminal")
     parser.add_argument(
@@ -115,10 +115,15 @@ def _body(argv: Sequence[str]) -> int | None:
     if outputs.stages_every < 1:
         raise ConfigError(f"stages_every = {outputs.stages_every} must be at least 1")
     settings = replace(settings, raster=_checked_choices(settings, outputs))
+    _check_json(outputs.json)
     if outputs.view:
         _check_view(outputs)
         _look(settings, outputs, load_settings(ViewSettings, arguments, ClientSettings))
         return None
+    for flag in given_flags(arguments, ViewSettings):
+        if flag != "config":
+            raise ConfigError(f"--{flag} is a setting of the live page; add --view or leave it out")
+    _check_pictures(outputs)
     return _watch(settings, outputs)
 
 
@@ -142,13 +147,15 @@ def _checked_choices(settings: ClientSettings, outputs: _Outputs) -> str:
 
 
 def _watch(settings: ClientSettings, outputs: _Outputs) -> int | None:
-    """Play to the end; returns the exit code of a play that was interrupted, whose outputs are written all the same."""
+    """Play to the end; returns the exit code. Outputs are written after an interrupt, of the play or of scoring, and
+    after an error, too. Raises :class:`CagsError`, at the end if anything was shown before.
+    """
     from cags_client.app import close_sinks, run_playback
+    from cags_client.interrupts import noted_interrupts
     from cags_client.net.endpoints import fetch_info
     from cags_client.output.report import summary
     from cags_client.output.truth import BundleTruth
 
-    _check_json(outputs.json)
     truth = BundleTruth(outputs.truth, settings) if outputs.truth else None
     info = fetch_info(outputs.url, settings.token, settings.ca)
     if truth:
@@ -163,16 +170,23 @@ def _watch(settings: ClientSettings, outputs: _Outputs) -> int | None:
             playback = run_playback(outputs.url, settings, poses, sinks, near=info.near, on_frame=on_frame)
         completed = True
     finally:
-        close_sinks(sinks, completed=completed)
-    records = playback.frames
-    if spool is not None and truth is not None:
-        _score(records, spool, truth, outputs)
-    last = summary(records, playback.player.stats)
-    _report(outputs.json, [*records, last], round(_seconds(settings, info) * info.fps))
-    if playback.ended_by is None:
+        if not completed:
+            close_sinks(sinks, completed=False)
+    records, after = playback.frames, f"{len(playback.frames)} frames"
+    with noted_interrupts() as noted:
+        close_sinks(sinks, completed=True)
+        if spool is not None and truth is not None:
+            scored = _score(records, spool, truth, outputs, noted)
+            after += f", {scored} of them scored" if noted else ""
+        last = summary(records, playback.player.stats)
+        _report(outputs.json, [*records, last], round(_seconds(settings, info) * info.fps))
+    if playback.error is not None:
+        raise playback.error
+    ended_by = playback.ended_by or next(iter(noted), None)
+    if ended_by is None:
         return None
-    print(f"{PROG}: ended by {playback.ended_by.name} after {len(records)} frames", file=sys.stderr)
-    return EXIT_SIGNAL + playback.ended_by
+    print(f"{PROG}: ended by {ended_by.name} after {after}", file=sys.stderr)
+    return EXIT_SIGNAL + ended_by
 
 
 @contextmanager
@@ -209,7 +223,6 @@ def _look(settings: ClientSettings, outputs: _Outputs, view: ViewSettings) -> No
     from cags_client.output.report import summary
     from cags_client.output.truth import BundleTruth
 
-    _check_json(outputs.json)
     truth = BundleTruth(outputs.truth, settings) if outputs.truth else None
     info = fetch_info(outputs.url, settings.token, settings.ca)
     if truth:
@@ -231,6 +244,8 @@ def _look(settings: ClientSettings, outputs: _Outputs, view: ViewSettings) -> No
         )
     if outputs.json:
         _report(outputs.json, [*playback.frames, summary(playback.frames, playback.player.stats)], info.frames)
+    if playback.error is not None:
+        raise playback.error
 
 
 def _tell_page(as_json: bool) -> Callable[[str], None]:
@@ -285,22 +300,42 @@ def _open_sinks(outputs: _Outputs, info: Manifest) -> tuple[list[FrameSink], Sco
     return sinks, spool
 
 
-def _score(records: list[dict[str, Any]], spool: ScoringSpool, truth: Any, outputs: _Outputs) -> None:
+def _score(
+    records: list[dict[str, Any]], spool: ScoringSpool, truth: Any, outputs: _Outputs, stop: Sequence[object]
+) -> int:
+    """Add the scores to the records, until ``stop`` holds anything; returns how many frames were scored."""
     from cags_client.output.files import stage_path, write_png
 
-    progress = _Progress(len(spool))
+    progress, scored = _Progress(len(spool)), 0
     by_frame = {record["frame"]: record for record in records}
     for frame, scores, picture in spool.scores(truth):
         by_frame[frame].update(scores)
         if outputs.stages and frame % outputs.stages_every == 0:
             write_png(stage_path(Path(outputs.stages), frame, "truth"), picture)
         progress.step("scoring")
+        scored += 1
+        if stop:
+            break
     progress.end()
+    return scored
 
 
 def _check_json(path: str | None) -> None:
-    if path and path != "-" and not Path(path).resolve().parent.is_dir():
+    if not path or path == "-":
+        return
+    if not Path(path).resolve().parent.is_dir():
         raise CagsError(f"{path}: its folder does not exist; make it first")
+    if Path(path).is_dir():
+        raise ConfigError(f"--json {path}: is a folder; give a file's name, or - for stdout")
+
+
+def _check_pictures(outputs: _Outputs) -> None:
+    from cags_client.output.files import check_picture_folder, check_save
+
+    if outputs.save:
+        check_save(outputs.save)
+    if outputs.stages:
+        check_picture_folder("--stages", Path(outputs.stages))
 
 
 def _report(path: str | None, records: list[dict[str, Any]], clip_frames: int) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
@@ -14,10 +15,12 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 def interrupts(end: Callable[[signal.Signals], object]) -> Iterator[None]:
     """Within the block the first interrupt, or request to end, calls ``end``; later ones have their usual effect."""
     loop = asyncio.get_running_loop()
+    usual = {number: signal.getsignal(number) for number in SIGNALS}
 
     def remove() -> None:
         for number in SIGNALS:
-            loop.remove_signal_handler(number)
+            if loop.remove_signal_handler(number):  # which leaves the system's own handler, whatever there was before
+                signal.signal(number, usual[number])
 
     def once(number: signal.Signals) -> None:
         remove()
@@ -31,3 +34,31 @@ def interrupts(end: Callable[[signal.Signals], object]) -> Iterator[None]:
     finally:
         with suppress(NotImplementedError, RuntimeError, ValueError):
             remove()
+
+
+@contextmanager
+def noted_interrupts() -> Iterator[list[signal.Signals]]:
+    """As :func:`interrupts`, outside of an event loop: the first signal is put into the list that the block is given.
+
+    Whoever works in the block looks at the list, and stops where nothing is lost.
+    """
+    noted: list[signal.Signals] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield noted
+        return
+    usual = {number: signal.getsignal(number) for number in SIGNALS}
+
+    def remove() -> None:
+        for number in SIGNALS:
+            signal.signal(number, usual[number])
+
+    def note(number: int, _: object) -> None:
+        remove()
+        noted.append(signal.Signals(number))
+
+    for number in SIGNALS:
+        signal.signal(number, note)
+    try:
+        yield noted
+    finally:
+        remove()

@@ -170,7 +170,8 @@ async def watch_live(
     on_ready: Callable[[str], None],
     on_frame: Callable[[dict[str, Any]], None] | None = None,
 ) -> Playback:
-    """Play with a page until interrupted or ``settings.duration`` is over. Raises :class:`CagsError`.
+    """Play with a page until interrupted or ``settings.duration`` is over; results as of
+    :func:`cags_client.app.play`. Raises :class:`CagsError`.
 
     ``on_ready`` is given the page's address.
     """
@@ -209,6 +210,4 @@ async def watch_live(
                 shell.close()
     finally:
         await view.stop()
-    if player.error is not None:
-        raise player.error
-    return Playback(player, shell.records)
+    return Playback(player, shell.records).checked()

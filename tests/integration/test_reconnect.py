@@ -89,6 +89,24 @@ def test_another_server_takes_over_when_one_is_killed(bundle: Path, tmp_path: Pa
     assert not frames[-1]["missed"]
 
 
+def test_what_was_shown_before_an_error_is_kept(bundle: Path, tmp_path: Path) -> None:
+    report, clip = tmp_path / "frames.jsonl", tmp_path / "clip.mp4"
+    with ProcessGroup(tmp_path) as group:
+        server = group.start("cags_server", ["--bundle", str(bundle), "--port", "0", "--json"])
+        url = f"ws://127.0.0.1:{server.ready()['port']}/stream"
+        outputs = ["--record", str(clip), "--json", str(report), "--reconnect-s", "0.3", "--startup-ms", "0"]
+        client = group.start("cags_client", ["--url", url, *SIZE, *outputs])
+        until(lambda: any(tmp_path.glob(".clip.mp4.*.part")) and plays(server))
+        time.sleep(2.0)
+        server.handle.send_signal(signal.SIGKILL)
+        assert client.handle.wait(60) == 1
+        (line,) = client.log.read_text().splitlines()
+    assert "the connection was lost" in line
+    *frames, summary = [json.loads(line) for line in report.read_text().splitlines()]
+    assert len(frames) == summary["frames"] > 0
+    assert clip.stat().st_size > 1000
+
+
 def test_a_full_server_is_skipped_at_the_start(bundle: Path, tmp_path: Path) -> None:
     report = tmp_path / "frames.jsonl"
     with ProcessGroup(tmp_path) as group:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 import tempfile
 from dataclasses import dataclass
 from fractions import Fraction
@@ -17,12 +19,16 @@ from numpy.typing import NDArray
 
 from cags_client.frame.presented import PresentedFrame
 from cags_client.output.sinks import FrameSink, FrameStats
-from cags_common.errors import OutputError
+from cags_common.errors import ConfigError, OutputError
 from cags_common.files import WholeFile, writable_folder, write_whole
 from cags_common.geometry import F32
 
 MP4_CRF = 16
 """x264's constant quality of a saved clip: visually lossless."""
+
+
+PICTURE_NAME = re.compile(r"frame_\d+(_[a-z]+)?\.png")
+"""Names that :class:`PngSink` and :class:`StagesSink` give."""
 
 
 def bytes_of(picture: F32) -> NDArray[np.uint8]:
@@ -86,7 +92,31 @@ def write_png(path: Path, picture: NDArray[np.uint8]) -> None:
 
 def open_save(spec: str, fps: float) -> FrameSink:
     """The sink of ``--save``: a folder of PNG files, or a clip where ``spec`` ends in ``.mp4``."""
-    return Mp4Sink(Path(spec), fps) if spec.endswith(".mp4") else PngSink(Path(spec))
+    return Mp4Sink(Path(spec), fps) if _is_clip(Path(spec)) else PngSink(Path(spec))
+
+
+def check_save(spec: str) -> None:
+    """Raises :class:`ConfigError` where ``--save`` names neither a folder for pictures nor an ``.mp4`` file."""
+    path = Path(spec)
+    if not _is_clip(path) and path.suffix and not path.is_dir() and not spec.endswith(os.sep):
+        raise ConfigError(
+            f"--save {spec}: {path.suffix} is no format to save in; end a video's name in .mp4 and a new folder's in /"
+        )
+    if _is_clip(path) and path.is_dir():
+        raise ConfigError(f"--save {spec}: is a folder; give another name for the video")
+    check_picture_folder("--save", path)
+
+
+def check_picture_folder(flag: str, folder: Path) -> None:
+    """Raises :class:`ConfigError` where ``folder`` holds anything but pictures of frames: a bundle, say."""
+    found = sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
+    strange = [name for name in found if not name.startswith(".") and PICTURE_NAME.fullmatch(name) is None]
+    if strange:
+        raise ConfigError(f"{flag} {folder}: the folder holds other files ({strange[0]}); give a new or an empty one")
+
+
+def _is_clip(path: Path) -> bool:
+    return path.suffix.lower() == ".mp4"
 
 
 class PngSink:
@@ -158,8 +188,12 @@ class Mp4Writer:
             raise OutputError.of(path, error) from error
 
     def add(self, place: int, picture: NDArray[np.uint8]) -> None:
-        """Append a picture [H, W, 3]; places rise, from 0. An odd row or column is cut off: 4:2:0 needs even sizes."""
-        picture = picture[: max(picture.shape[0] & ~1, 2), : max(picture.shape[1] & ~1, 2)]
+        """Append a picture [H, W, 3]; places rise, from 0. 4:2:0 needs even sizes: an odd row or column is cut off, and
+        a single one is doubled.
+        """
+        height, width = picture.shape[:2]
+        picture = picture[: height & ~1 or 1, : width & ~1 or 1]
+        picture = picture.repeat(2 if height == 1 else 1, axis=0).repeat(2 if width == 1 else 1, axis=1)
         if self._stream is None:
             self._stream = self._open(picture.shape[1], picture.shape[0])
         frame = VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")

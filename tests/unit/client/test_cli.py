@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import itertools
+import signal
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -84,6 +87,23 @@ def test_a_truth_of_another_length_is_told_before_the_play(tmp_path: Path) -> No
     longer = replace(info, frames=3)
     with pytest.raises(ConfigError, match=r"has 2 frames and the stream 3: another scene"):
         truth.check(longer)
+
+
+def test_scores_until_an_interrupt_are_kept() -> None:
+    """Scoring takes longer than the play; what is known of it is reported all the same."""
+
+    class Spool:
+        def __len__(self) -> int:
+            return 3
+
+        def scores(self, truth: object) -> Iterator[tuple[int, dict[str, float], None]]:
+            for frame in range(3):
+                yield frame, {"psnr_restored_db": 30.0 + frame}, None
+
+    records: list[dict[str, Any]] = [{"frame": frame} for frame in range(3)]
+    outputs = cli._Outputs("ws://a/stream", None, None, None, "truth", None, 30, view=False, headless=True)
+    assert cli._score(records, Spool(), None, outputs, [signal.SIGINT]) == 1  # type: ignore[arg-type]
+    assert records == [{"frame": 0, "psnr_restored_db": 30.0}, {"frame": 1}, {"frame": 2}]
 
 
 def test_a_walk_begins_at_the_authors_view_where_none_is_named() -> None:

@@ -8,18 +8,42 @@ import signal
 
 import pytest
 
-from cags_client.interrupts import interrupts
+from cags_client.interrupts import SIGNALS, interrupts, noted_interrupts
 
 
 async def test_the_first_signal_ends_playback_and_the_second_is_the_systems() -> None:
-    before = signal.getsignal(signal.SIGTERM)
+    before = [signal.getsignal(number) for number in SIGNALS]
     got: list[signal.Signals] = []
     with interrupts(got.append):
         os.kill(os.getpid(), signal.SIGTERM)
         await asyncio.sleep(0.02)
         assert got == [signal.SIGTERM]
-        assert signal.getsignal(signal.SIGTERM) == before == signal.SIG_DFL
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        assert [signal.getsignal(number) for number in SIGNALS] == before
+
+
+async def test_a_commands_own_handlers_are_back_after_the_block() -> None:
+    """A command that is asked to end removes what it has begun (:func:`cags_common.cli.run_command`)."""
+
+    def own(number: int, frame: object) -> None: ...
+
+    before = signal.signal(signal.SIGTERM, own)
+    try:
+        with interrupts(lambda _: None):
+            assert signal.getsignal(signal.SIGTERM) is not own
+        assert signal.getsignal(signal.SIGTERM) is own
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def test_outside_of_a_loop_the_first_signal_is_noted_and_the_second_has_its_usual_effect() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    with noted_interrupts() as noted:
+        signal.raise_signal(signal.SIGINT)
+        assert noted == [signal.SIGINT]
+        assert signal.getsignal(signal.SIGTERM) == before
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGTERM) == before
 
 
 async def test_nothing_is_left_behind_after_the_block() -> None:

@@ -6,13 +6,14 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import av
 import cv2
 import numpy as np
 import pytest
 
-from cags_client.output.files import PictureSpool, StagesSink, bytes_of, stage_path
+from cags_client.output.files import PictureSpool, StagesSink, bytes_of, check_save, open_save, stage_path
 from cags_client.output.spool import ScoringSpool
-from cags_common.errors import OutputError
+from cags_common.errors import ConfigError, OutputError
 from cags_common.geometry import F32, Camera, Intrinsics, Pose
 
 CAMERA = Camera(Intrinsics(6, 4, 5.0, 5.0, 3.0, 2.0), Pose.looking_at((0.0, 0.0, -2.0), (0.0, 0.0, 0.0)))
@@ -60,6 +61,37 @@ def test_stages_of_a_play_that_failed_are_left_out(tmp_path: Path) -> None:
     sink.show(presented(0), {})
     sink.close(completed=False)
     assert not list(tmp_path.iterdir())
+
+
+def test_pictures_go_only_where_nothing_else_lies(tmp_path: Path) -> None:
+    bundle, old = tmp_path / "room.cags", tmp_path / "old.frames"
+    for folder, name in ((bundle, "manifest.json"), (old, "frame_00012.png"), (old, "frame_0030_restored.png")):
+        folder.mkdir(exist_ok=True)
+        (folder / name).touch()
+    (old / ".hidden").touch()
+    for fine in (old, tmp_path / "new", f"{tmp_path}/new.1/", tmp_path / "clip.mp4", tmp_path / "clip.MP4"):
+        check_save(str(fine))
+    with pytest.raises(ConfigError, match=r"room\.cags: the folder holds other files \(manifest\.json\)"):
+        check_save(str(bundle))
+    with pytest.raises(ConfigError, match=r"x\.mkv: \.mkv is no format to save in"):
+        check_save("x.mkv")
+    (tmp_path / "folder.mp4").mkdir()
+    with pytest.raises(ConfigError, match="is a folder"):
+        check_save(str(tmp_path / "folder.mp4"))
+
+
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 6), (4, 1), (3, 5), (2, 2)])
+def test_clips_of_any_size_are_written(tmp_path: Path, height: int, width: int) -> None:
+    sink = open_save(str(tmp_path / "clip.MP4"), 30.0)
+    for frame in range(3):
+        shown = presented(frame)
+        shown.rgb = np.full((height, width, 3), 0.5, np.float32)
+        sink.show(shown, {})
+    sink.close(completed=True)
+    with av.open(str(tmp_path / "clip.MP4")) as clip:
+        read = [frame.to_ndarray(format="rgb24") for frame in clip.decode(video=0)]
+    assert [picture.shape for picture in read] == [(max(height & ~1, 2), max(width & ~1, 2), 3)] * 3
+    assert abs(read[0].astype(int) - 128).max() < 8
 
 
 def test_the_spool_scores_what_was_shown() -> None:
