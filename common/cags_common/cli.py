@@ -18,6 +18,9 @@ EXIT_OK, EXIT_FAILED, EXIT_USAGE = 0, 1, 2
 EXIT_SIGNAL = 128
 """Plus the number of the signal that ended a command, as shells count."""
 
+AGAIN_S = 0.01
+"""When a signal that was lost is sent again, seconds: what lost it is over by then."""
+
 
 class CommandParser(argparse.ArgumentParser):
     """Refuses wrong use in one line, not in a screenful of flags."""
@@ -65,9 +68,9 @@ def run_command(prog: str, body: Callable[[Sequence[str]], int | None], argv: Se
     So is what the system refuses (a full disk, a folder that cannot be written). A request to end leaves as an
     interrupt does: children are stopped and files in the making removed.
     """
-    _print_whatever_the_locale()
     try:
-        with _ending_in_order():
+        _print_whatever_the_locale()
+        with _ending_in_order(), _no_signal_lost():
             code = body(sys.argv[1:] if argv is None else argv) or EXIT_OK
             sys.stdout.flush()  # here, where a full disk is told of, and not while Python ends
             return code
@@ -125,3 +128,32 @@ def _ending_in_order() -> Iterator[None]:
     finally:
         for number in numbers:
             signal.signal(number, signal.SIG_DFL)
+
+
+@contextmanager
+def _no_signal_lost() -> Iterator[None]:
+    """Send a signal again whose exception came up where Python drops it, as in the callback of a weak reference or in
+    a finaliser. The command would go on as if nobody had asked it to end.
+    """
+    usual = sys.unraisablehook
+
+    def hook(unraisable: sys.UnraisableHookArgs) -> None:
+        number = _signal_of(unraisable.exc_type, unraisable.exc_value)
+        if number is None:
+            usual(unraisable)
+        else:
+            threading.Timer(AGAIN_S, signal.pthread_kill, (threading.main_thread().ident, number)).start()
+
+    sys.unraisablehook = hook
+    try:
+        yield
+    finally:
+        sys.unraisablehook = usual
+
+
+def _signal_of(kind: type[BaseException], error: BaseException | None) -> int | None:
+    """The signal whose handler raised ``error``; None for other errors."""
+    if issubclass(kind, KeyboardInterrupt):
+        return signal.SIGINT
+    ends = {EXIT_SIGNAL + number: number for number in (signal.SIGTERM, signal.SIGHUP)}
+    return ends.get(error.code) if isinstance(error, SystemExit) else None  # type: ignore[arg-type]

@@ -74,6 +74,29 @@ def test_a_request_to_end_tidies_up(number, tmp_path):
     assert left.exists()
 
 
+@pytest.mark.parametrize(
+    ("number", "said"), [(signal.SIGINT, "cags-try: interrupted\n"), (signal.SIGTERM, ""), (signal.SIGHUP, "")]
+)
+def test_a_signal_within_a_callback_of_a_weak_reference_is_not_lost(number, said):
+    body = f"""import weakref
+class Gone: pass
+gone = Gone()
+reference = weakref.ref(gone, lambda _: signal.raise_signal({number:d}))
+del gone
+time.sleep(60)"""
+    with start(body) as running:
+        _, heard = running.communicate(timeout=20)
+    assert running.returncode == 128 + number
+    assert heard == said
+
+
+def test_other_errors_that_python_drops_are_still_told():
+    with start("class Gone:\n    def __del__(self): raise KeyError('dropped')\nGone()") as running:
+        _, heard = running.communicate(timeout=20)
+    assert running.returncode == 0
+    assert "KeyError: 'dropped'" in heard
+
+
 def test_nohup_is_respected():
     with start("print('up', flush=True)\ntime.sleep(0.2)", "SIG_IGN", stdout=subprocess.PIPE) as running:
         assert running.stdout is not None

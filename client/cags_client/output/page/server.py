@@ -48,12 +48,19 @@ from cags_common.errors import CagsError, ConfigError, NetworkError, ProtocolErr
 from cags_common.raster.base import Exactness
 from cags_common.runtime.tasks import watched
 from cags_common.transport.hosts import host_port, named
+from cags_common.transport.websocket import CLOSE_TIMEOUT_S
 
 EXACTNESSES = tuple(exactness.value for exactness in Exactness)
 
 LOG = logging.getLogger(__name__)
 
-MAX_PAGES = 8
+MAX_PAGES, MAX_LINKS = 8, 32
+"""Pages that have said hello, and WebSockets in all: one more ends the oldest that has not said it."""
+
+HELLO_S = 5.0
+"""How long a WebSocket stays open without a hello, from when the clip is known."""
+
+TOO_MANY = f"{MAX_PAGES} pages are open already; close one"
 REACHED_AT = {"localhost": "127.0.0.1", "0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104 - only compared
 """Where a browser on this machine finds a page that is served on more than one address."""
 
@@ -77,7 +84,8 @@ class LiveView:
         self._controls: Controls | None = None
         self._attached = asyncio.Event()
         self._pages: dict[web.WebSocketResponse, Page] = {}
-        self._links: dict[web.WebSocketResponse, asyncio.WriteTransport] = {}
+        self._links: dict[web.WebSocketResponse, asyncio.WriteTransport | None] = {}
+        """All WebSockets, oldest first, those without a hello too."""
         self._newest: ShownFrame | None = None
         self._wake = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -148,13 +156,14 @@ class LiveView:
     async def _live(self, request: web.Request) -> web.WebSocketResponse:
         if not same_origin(request):
             raise web.HTTPForbidden(text="this WebSocket serves its own page only\n")
-        if len(self._pages) >= MAX_PAGES:
-            raise web.HTTPServiceUnavailable(text=f"{MAX_PAGES} pages are open already; close one\n")
-        socket = web.WebSocketResponse(max_msg_size=MAX_TEXT_BYTES, heartbeat=20.0, compress=False)
-        await socket.prepare(request)
-        if isinstance(request.transport, asyncio.WriteTransport):
-            self._links[socket] = request.transport
+        if len(self._pages) >= MAX_PAGES or not self._made_room():
+            raise web.HTTPServiceUnavailable(text=f"{TOO_MANY}\n")
+        socket = web.WebSocketResponse(
+            timeout=CLOSE_TIMEOUT_S, max_msg_size=MAX_TEXT_BYTES, heartbeat=20.0, compress=False
+        )
+        self._links[socket] = request.transport if isinstance(request.transport, asyncio.WriteTransport) else None
         try:
+            await socket.prepare(request)
             await self._attached.wait()
             await self._serve(socket)
         finally:
@@ -162,16 +171,40 @@ class LiveView:
             self._links.pop(socket, None)
         return socket
 
+    def _made_room(self) -> bool:
+        """Whether there is room for another WebSocket; the oldest without a hello gives way where they are many."""
+        if len(self._links) < MAX_LINKS:
+            return True
+        stranger = next((socket for socket in self._links if socket not in self._pages), None)
+        if stranger is None or not self._attached.is_set():  # until then nobody is heard, so all are strangers
+            return False
+        self._hang_up(stranger)
+        return True
+
+    def _hang_up(self, socket: web.WebSocketResponse) -> None:
+        """End a WebSocket at once, whether or not it takes anything."""
+        if (transport := self._links.pop(socket, None)) is not None:
+            transport.abort()
+
     async def _serve(self, socket: web.WebSocketResponse) -> None:
-        async for message in socket:
-            if message.type is not WSMsgType.TEXT:
-                break
-            try:
-                await self._on_message(socket, parse(message.data))
-            except ProtocolError as error:
-                await socket.close(code=1008, message=str(error).encode()[:120])
-            except CagsError as error:
-                await socket.send_str(json.dumps({"type": "error", "text": str(error)}))
+        try:
+            async with asyncio.timeout(HELLO_S) as limit:
+                async for message in socket:
+                    if message.type is not WSMsgType.TEXT:
+                        break
+                    await self._take(socket, message.data)
+                    if socket in self._pages:
+                        limit.reschedule(None)
+        except TimeoutError:
+            await socket.close(code=1008, message=f"no hello within {HELLO_S:g} s".encode())
+
+    async def _take(self, socket: web.WebSocketResponse, text: str) -> None:
+        try:
+            await self._on_message(socket, parse(text))
+        except ProtocolError as error:
+            await socket.close(code=1008, message=str(error).encode()[:120])
+        except CagsError as error:
+            await socket.send_str(json.dumps({"type": "error", "text": str(error)}))
 
     # -------------------------------------------------------------------------------------------------- page's wishes
 
@@ -225,6 +258,9 @@ class LiveView:
         assert self._controls is not None
         if not hmac.compare_digest(hello.token.encode(), self.settings.view_token.encode()):
             await socket.close(code=WRONG_TOKEN, message=b"wrong token" if hello.token else b"token needed")
+            return
+        if len(self._pages) >= MAX_PAGES and socket not in self._pages:
+            await socket.close(code=1013, message=TOO_MANY.encode())
             return
         peer = socket.get_extra_info("peername", ("",))
         kind = kind_of(hello, self.settings, local=on_this_machine(peer[0]))
@@ -330,9 +366,7 @@ class LiveView:
         except TimeoutError:
             LOG.warning("a page took nothing for %g s and was let go", SLOW_PAGE_S)
             self._forget(socket)
-            transport = self._links.get(socket)
-            if transport is not None:
-                transport.abort()
+            self._hang_up(socket)
         except (ConnectionError, RuntimeError):  # RuntimeError: it is closing
             self._forget(socket)
 

@@ -13,7 +13,7 @@ import aiohttp
 import pytest
 
 import cags_web
-from cags_client.output.page import LiveView, ViewSettings
+from cags_client.output.page import LiveView, ViewSettings, server
 from cags_client.output.page.assets import MARK, NOT_BUILT
 from cags_client.output.page.open_page import SLOW_WRITE_S, SLOW_WRITES
 from cags_client.output.page.server import WRONG_TOKEN
@@ -266,6 +266,37 @@ async def test_nonsense_closes_the_line_with_a_reason(show: BallShow, client: ai
     early = await client.ws_connect(show.view.url + "live")
     await early.send_str(json.dumps({"type": "set", "name": "playing", "value": True}))
     assert "hello" in ((await early.receive(timeout=10)).extra or "")
+
+
+async def test_a_line_without_a_hello_is_closed_after_a_moment(
+    show: BallShow, client: aiohttp.ClientSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "HELLO_S", 0.2)
+    silent, page = await client.ws_connect(show.view.url + "live"), await visit(client, show)
+    message = await silent.receive(timeout=10)
+    assert (message.type, message.data) == (aiohttp.WSMsgType.CLOSE, 1008)
+    assert "no hello within 0.2 s" in (message.extra or "")
+    await asyncio.sleep(0.3)
+    await page.frame()
+    assert len(show.view._links) == 1
+
+
+async def test_lines_without_a_hello_neither_pile_up_nor_keep_a_page_out(
+    show: BallShow, client: aiohttp.ClientSession
+) -> None:
+    silent = [await client.ws_connect(show.view.url + "live") for _ in range(server.MAX_LINKS + 5)]
+    assert len(show.view._links) == server.MAX_LINKS
+    page = await visit(client, show)
+    await page.told("scene")
+    ended = [(await socket.receive(timeout=10)).type for socket in silent[:6]]
+    assert all(kind in (aiohttp.WSMsgType.CLOSED, aiohttp.WSMsgType.ERROR) for kind in ended), "the oldest go"
+    for socket in silent[6 : 6 + server.MAX_PAGES]:
+        await socket.send_str(json.dumps({"type": "hello", "h264": True}))
+    async with asyncio.timeout(10):
+        while show.view.pages < server.MAX_PAGES:  # noqa: ASYNC110 - what is waited for lies in the server
+            await asyncio.sleep(0.01)
+    late = silent[5 + server.MAX_PAGES]
+    assert (await late.receive(timeout=10)).data == 1013, "the ninth page"
 
 
 @pytest.fixture
