@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import secrets
+import time
 from collections import deque
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -39,6 +41,7 @@ class FrameRecord:
     predicted: Pose
     margins: tuple[float, float]
     ticks_covered: int
+    """Ticks since the plan before it, its own included: each earns the bytes of its time."""
     estimate_bps: float = 0.0
     budget_bytes: int = 0
     tile_bytes: int = 0
@@ -53,6 +56,8 @@ class FrameRecord:
     level: float = 0.0
     """Mean level that the client holds of the looks in view, weighted by their share of the picture."""
     upgrades: int = 0
+    skipped: int = 0
+    """Ticks before it that the client displays, and that no plan was made for because the server was late."""
     reference_late: bool = False
     no_place: bool = False
     """Whether it went without a reference because the renderer had too much to do."""
@@ -91,10 +96,11 @@ class StreamStats:
     """Of the scene's tiles."""
     frames: int = 0
     frames_skipped: int = 0
+    """Frames that were due, and not planned because the server was late."""
     frames_in_time: int = 0
-    """Played frames whose data the client had at their display."""
+    """Displayed frames whose data the client had at their display."""
     frames_late: int = 0
-    """Played frames whose data arrived after their display."""
+    """Displayed frames whose data came after their display, or not at all."""
     stalls: int = 0
     """Runs of late frames."""
     references_late: int = 0
@@ -147,12 +153,22 @@ class Totals:
         self.light += stats.light
 
 
-def write_session(folder: Path, name: str, stats: StreamStats, ending: Closed | None) -> Path:
-    """Write what is remembered of a session; the first line describes the file, the last the session's end.
+def run_name() -> str:
+    """A name for the files of one process: when it began (UTC), and what tells it from others of that second.
+
+    Sessions are numbered anew in each process, and several processes may write into one folder.
+    """
+    return f"{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}-{secrets.token_hex(2)}"
+
+
+def write_session(folder: Path, run: str, name: str, stats: StreamStats, ending: Closed | None) -> Path:
+    """Write what is remembered of a session of :func:`run_name` ``run`` to ``RUN-NAME.jsonl``.
+
+    The first line describes the file, the last the session's end.
 
     Raises :class:`OutputError` where it cannot be written.
     """
-    path = writable_folder(folder) / f"{name}.jsonl"
+    path = writable_folder(folder) / f"{run}-{name}.jsonl"
     with whole_file(path) as writing, writing.open("w", encoding="utf-8") as file:
         head = {
             "format": FORMAT,

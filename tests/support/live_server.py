@@ -66,19 +66,23 @@ class Client:
         """Exchange messages until ``count`` events of ``kind`` have come."""
         async with asyncio.timeout(20):
             while len(found := [e for e in self.events if isinstance(e, kind)]) < count:
-                self.session.handle_timer(now_us=now_us())
-                try:
-                    for data in self.session.data_to_send(now_us()):
-                        await self.transport.send(data)
-                    async with asyncio.timeout(0.02):
-                        self.session.receive(await self.transport.recv(), now_us=now_us())
-                except TimeoutError:
-                    self.session.send_poses([PoseSample(now_us(), Pose.identity())], now_us=now_us())
-                except ConnectionEndedError as error:
-                    self.session.connection_lost(str(error), now_us=now_us())
-                while (event := self.session.next_event()) is not None:
-                    self.events.append(event)
+                await self.exchange()
         return found
+
+    async def exchange(self) -> None:
+        """Say what is to be said, and take one message, or send a pose where none comes."""
+        self.session.handle_timer(now_us=now_us())
+        try:
+            for data in self.session.data_to_send(now_us()):
+                await self.transport.send(data)
+            async with asyncio.timeout(0.02):
+                self.session.receive(await self.transport.recv(), now_us=now_us())
+        except TimeoutError:
+            self.session.send_poses([PoseSample(now_us(), Pose.identity())], now_us=now_us())
+        except ConnectionEndedError as error:
+            self.session.connection_lost(str(error), now_us=now_us())
+        while (event := self.session.next_event()) is not None:
+            self.events.append(event)
 
     async def play(self) -> list[int]:
         """Watch to the end; the media frames of the references that came."""

@@ -44,7 +44,7 @@ from cags_server.http.memory import FreedMemory
 from cags_server.http.page import add_page
 from cags_server.http.status import SessionBook, page, why_ended
 from cags_server.http.waiting_list import WaitingList
-from cags_server.records import StreamStats, Totals, write_session
+from cags_server.records import StreamStats, Totals, run_name, write_session
 from cags_server.reference.render_pool import RenderPool
 from cags_server.reference.render_slots import RenderSlots
 from cags_server.scene.collection import Collection, UnknownSceneError
@@ -78,7 +78,7 @@ class App:
         self._turns = AdmissionRate()
         self._unvouched = WaitingList[str]()  # names of those who have shown neither a Hello nor the token yet
         self._render_slots = RenderSlots(settings.workers)
-        self._names = itertools.count(1)
+        self._run, self._names = run_name(), itertools.count(1)
         self._clients: dict[str, tuple[ClientTask, Connection]] = {}
         self._executor = RenderPool(settings.workers, self._served)
         self._uploads = Uploads(scenes, settings, self._streams) if settings.accept_uploads else None
@@ -231,7 +231,7 @@ class App:
             return web.Response(status=GONE_BEFORE)
         self._streams(request)
         name = f"s{next(self._names)}"
-        events = EventFile(Path(self._settings.event_traces), name) if self._settings.event_traces else None
+        events = EventFile(Path(self._settings.event_traces), self._run, name) if self._settings.event_traces else None
         connection = self._connection(library, name, transport.peer, header, events)
         task = ClientTask(
             transport, connection, self._executor, slow_s=self._settings.slow_s, clients=lambda: len(self._clients)
@@ -326,7 +326,7 @@ class App:
         )  # fmt: skip
         if self._settings.session_logs:
             try:
-                write_session(Path(self._settings.session_logs), name, connection.stats, ending)
+                write_session(Path(self._settings.session_logs), self._run, name, connection.stats, ending)
             except OutputError as error:  # a full disk is no reason to stop serving
                 self._told.write(logging.WARNING, "session log", "%s", error)
 

@@ -19,10 +19,11 @@ log = logging.getLogger(__name__)
 
 
 class EventFile:
-    """``NAME.events.jsonl`` in ``folder``; made with the first message that is queued, so not for who is refused."""
+    """``RUN-NAME.events.jsonl`` in ``folder``; made with the first queued message, so not for who is refused."""
 
-    def __init__(self, folder: Path, name: str) -> None:
-        self.path = folder / f"{name}.events.jsonl"
+    def __init__(self, folder: Path, run: str, name: str) -> None:
+        """``run``: the process, by :func:`~cags_server.records.run_name`; ``name``: the session."""
+        self.path = folder / f"{run}-{name}.events.jsonl"
         self._file: TextIO | None = None
         self._left = MAX_BYTES
         self._header: Record = {}

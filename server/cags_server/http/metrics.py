@@ -43,9 +43,9 @@ class _Sessions(Collector):
         yield CounterMetricFamily("cags_sessions_total", "Clients that ever joined.", sums.sessions)
         yield CounterMetricFamily("cags_frames_total", "Frames planned.", sums.frames)
         for name, what, total in (
-            ("frames_skipped", "Frames that were due and never planned.", sums.frames_skipped),
-            ("frames_in_time", "Played frames whose data the client had at their display.", sums.frames_in_time),
-            ("frames_late", "Played frames whose data came after their display.", sums.frames_late),
+            ("frames_skipped", "Frames that were due and not planned, the server being late.", sums.frames_skipped),
+            ("frames_in_time", "Displayed frames whose data the client had at their display.", sums.frames_in_time),
+            ("frames_late", "Displayed frames whose data came after their display, or not at all.", sums.frames_late),
             ("stalls", "Runs of such frames.", sums.stalls),
             ("references_late", "Reference pictures that came too late, or never.", sums.references_late),
         ):

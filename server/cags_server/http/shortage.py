@@ -58,8 +58,8 @@ def shortage(stats: StreamStats) -> Shortage:
 
 
 def _skipped(recent: list[FrameRecord]) -> Shortage | None:
-    covered = sum(record.ticks_covered for record in recent)
-    share = 1.0 - len(recent) / max(covered, 1)
+    skipped = sum(record.skipped for record in recent)
+    share = skipped / (skipped + len(recent))
     return Shortage(PROCESSOR, share) if share > MANY_SKIPPED else None
 
 

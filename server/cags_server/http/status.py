@@ -38,10 +38,11 @@ class SessionStatus:
     frames: int
     """Planned for it."""
     skipped: int
+    """Frames that were due, and not planned because the server was late."""
     in_time: int
-    """Played frames whose data it had at their display."""
+    """Displayed frames whose data it had at their display."""
     late: int
-    """Played frames whose data arrived after their display."""
+    """Displayed frames whose data came after their display, or not at all."""
     stalls: int
     """Runs of late frames."""
     references_late: int

@@ -41,7 +41,8 @@ class FramePlan:
     ahead: Ahead
     before: tuple[Ahead, ...]
     """Frames before ``ahead`` that no earlier plan served, as at the beginning of playback."""
-    ticks_covered: int  # 1, and one more for every frame that was skipped for lateness
+    ticks_covered: int  # since the plan before it, its own included: each earns the bytes of its time
+    skipped: int  # those of them that the client displays, and that were passed over because the server was late
     planned_us: int
     display_us: int
     horizon_us: int

@@ -60,6 +60,8 @@ class Schedule:
         self._clock = clock
         self._controlled = False
         self._from_tick = 0  # first tick neither planned nor skipped
+        self._passed = range(0)  # ticks that the newest planned one completes beside itself
+        self._planned_us = 0  # when a tick was planned last, or a control arrived
         self._blind_tick = -1  # newest frame that was served without a render
         self._rendered_tick: int | None = None  # newest frame that a render was begun for
         self._render_covers = 1
@@ -76,6 +78,7 @@ class Schedule:
         self.timeline = self.timeline.controlled(control)
         self._controlled = True
         self.generation += 1
+        self._planned_us = now_us
         self._count_anew()
 
     def client_lacks(self, squared_error: float) -> None:
@@ -103,6 +106,7 @@ class Schedule:
 
     def _count_anew(self) -> None:
         self._from_tick, self._blind_tick, self._rendered_tick, self._served_ahead = 0, -1, None, 0
+        self._passed = range(0)
         self.reserve.restart()
 
     def media_frame(self, tick: int) -> int | None:
@@ -222,11 +226,25 @@ class Schedule:
     def _cover(self, tick: int) -> int:
         """``tick`` is planned, which completes all earlier ones; returns their number, including ``tick``."""
         covered = tick - self._from_tick + 1
-        self._from_tick = tick + 1
+        self._passed, self._from_tick = range(self._from_tick, tick), tick + 1
         served, self._served_ahead = max(self._served_ahead, tick), self.ahead(tick)
         between = range(served + 1, self._served_ahead)
         self.between = tuple(at for at in between if next_displayed(at, self.cadence_permille) == at)
         return covered
+
+    def planned(self, now_us: int) -> int:
+        """A tick is planned now; returns how many displayed ticks it passes over because the server was late.
+
+        Those that were due already when the plan before it was made, or when the control arrived, are not counted:
+        the lead has become longer, or the control came late. Neither are those of a pause, in which nothing moves on.
+        """
+        known_us = self._clock.to_client(self._planned_us) + round(self.lead_us)
+        first = max(self._passed.start, self.timeline.first_tick(known_us + 1))
+        self._planned_us = now_us
+        if not self.timeline.playing or first >= self._passed.stop:
+            return 0
+        before, last = ((tick - 1) * self.cadence_permille // EVERY_FRAME for tick in (first, self._passed.stop))
+        return last - before
 
     def is_out(self, tick: int) -> bool:
         """Whether the render of ``tick`` is pending."""

@@ -118,7 +118,7 @@ class Streamer:
         self._reference_budget = ReferenceBudget(link, settings.reference_most)
         self._worth = Worth()
         self._visibility = Visibility(library, settings.visible_px)
-        self._arrivals = FrameArrivals(self.stats)
+        self._arrivals = FrameArrivals(self.stats, self._viewer.clock, library.gof_start)
         self._rests_until_us = 0  # the renderer, after a job that took long
         self._render_plan: FramePlan | None = None  # the newest
         self._went_ahead: FrameRecord | None = None  # what was sent for the pending render
@@ -194,6 +194,8 @@ class Streamer:
                 self._viewer.observe(samples, arrival_us)
                 self._schedule.cadence_permille = cadence_permille
                 self._schedule.follow_clock(arrival_us)
+                if samples:
+                    self._arrivals.displayed(self._schedule.timeline, samples[-1].t_us, cadence_permille)
             case ev.Acknowledged(sample):
                 self._link.on_ack(sample)
                 self.stats.rtt_us, self.stats.bandwidth_bps = sample.rtt_us, self._link.estimate_bps(now_us)
@@ -237,7 +239,7 @@ class Streamer:
 
     def _on_control(self, control: Control, now_us: int) -> None:
         self._schedule.controlled(control, now_us)
-        self._arrivals.forget()
+        self._arrivals.restart()
         self._went_ahead = self._newest = None
         self._ends.clear()
         self._tiles.client_keeps = control.keeps
@@ -252,6 +254,7 @@ class Streamer:
         if self._tiles.forgotten:
             self._tiles.forgotten = False
             self._mirror.restart(min(frame, self._library.manifest.frames - 1))
+            self._arrivals.forget()
             self._mark(now_us, restart=True)
 
     def _mark(self, now_us: int, *, restart: bool = False) -> int:
@@ -277,11 +280,12 @@ class Streamer:
             self._video.dropped(message)
 
     def _on_arrived(self, outgoing: ev.Outgoing, now_us: int) -> None:
-        """Tell the pace how late a reference was, and count frames in time. The delay of an acknowledgement needs no
-        correction, because poses have the same delay, and the client's clock is estimated from them.
+        """Tell the pace how late a reference was, and when the data of a frame was complete. The delay of an
+        acknowledgement needs no correction, because poses have the same delay, and the client's clock is estimated from
+        them.
         """
         if isinstance(outgoing.message, FrameEnd):
-            self._arrivals.arrived(outgoing.message.frame, self._viewer.clock.to_client(now_us))
+            self._arrivals.arrived(outgoing.message.frame, now_us)
         if not (isinstance(outgoing.message, ReferenceFrame) and self._schedule.timeline.playing):
             return
         if outgoing.deadline_us is not None:
@@ -351,6 +355,7 @@ class Streamer:
             ahead=Ahead(frame, 0),
             before=(),
             ticks_covered=1,
+            skipped=0,
             planned_us=now_us,
             display_us=0,
             horizon_us=0,
@@ -494,6 +499,7 @@ class Streamer:
             ahead=self._ahead(tick, frame),
             before=tuple(self._at(between, frame) for between in self._schedule.between),
             ticks_covered=ticks_covered,
+            skipped=self._schedule.planned(now_us),
             planned_us=now_us,
             display_us=display_us,
             horizon_us=self._viewer.horizon_us(display_us) if drawn else 0,
@@ -612,8 +618,6 @@ class Streamer:
         """
         camera = Camera(self._hello.intrinsics, record.predicted, self._hello.near)
         ahead = record.ahead
-        if self._schedule.timeline.playing:
-            self._arrivals.expect(ahead.frame, ahead.display_us)
         if not passing:
             visible += self._come_into_view(record, visible)
         visible = self._visibility.with_ghosts(visible, ahead.frame, camera, self._tiles.inventory, self._tiles.age)
@@ -660,10 +664,11 @@ class Streamer:
             predicted=plan.predicted.pose,
             margins=plan.margins,
             ticks_covered=plan.ticks_covered,
+            skipped=plan.skipped,
         )
         self.stats.records.append(record)
         self.stats.frames += 1
-        self.stats.frames_skipped += plan.ticks_covered - 1
+        self.stats.frames_skipped += plan.skipped
         self._viewer.expect(record)
         return record
 
@@ -770,4 +775,6 @@ class Streamer:
                 self.stats.bytes_reference += size
             else:
                 self.stats.bytes_other += size
+            if isinstance(each.message, FrameEnd):
+                self._arrivals.sent(each.message.frame)
         return outgoing

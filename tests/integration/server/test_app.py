@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import ssl
 from datetime import UTC, datetime, timedelta
 from ipaddress import ip_address
@@ -303,6 +304,10 @@ async def test_a_client_shows_its_token_for_the_bundle() -> None:
             await asyncio.to_thread(fetch_info, url)
 
 
+def files(folder: Path) -> list[Path]:
+    return sorted(folder.iterdir())
+
+
 async def test_a_session_is_logged(tmp_path: Path) -> None:
     async with serving(session_logs=str(tmp_path)) as (_, server):
         client = await Client.join(server)
@@ -311,10 +316,27 @@ async def test_a_session_is_logged(tmp_path: Path) -> None:
         for data in client.session.data_to_send(now_us()):
             await client.transport.send(data)
         await client.transport.close()
-    lines = [json.loads(line) for line in (tmp_path / "s1.jsonl").read_text().splitlines()]
+    (path,) = files(tmp_path)
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
     assert lines[0]["format"] == "cags-session"
     assert all(line["reference_bytes"] >= 0 for line in lines[1:-1])
     assert lines[-1]["ending"]["code"] == "bye"
+
+
+async def test_a_server_that_is_started_again_keeps_what_the_one_before_it_has_written(tmp_path: Path) -> None:
+    """Both begin with session s1: the second once replaced the files of the first."""
+    for _ in range(2):
+        async with serving(session_logs=str(tmp_path / "logs"), event_traces=str(tmp_path / "traces")) as (_, server):
+            client = await Client.join(server)
+            await client.play()
+            client.session.bye("done", now_us=now_us())
+            for data in client.session.data_to_send(now_us()):
+                await client.transport.send(data)
+            await client.transport.close()
+    for folder in ("logs", "traces"):
+        names = [path.name for path in files(tmp_path / folder)]
+        assert len(names) == 2
+        assert all(re.fullmatch(r"\d{8}T\d{6}Z-[0-9a-f]{4}-s1(\.events)?\.jsonl", name) for name in names)
 
 
 async def test_every_step_of_sending_is_traced_and_can_be_drawn(tmp_path: Path) -> None:
@@ -324,8 +346,8 @@ async def test_every_step_of_sending_is_traced_and_can_be_drawn(tmp_path: Path) 
         await client.transport.close()
         stranger = await connect(stream_url(server), subprotocol=SUBPROTOCOL, max_message_bytes=MAX_MESSAGE_BYTES)
         await stranger.close()
-    path = tmp_path / "s1.events.jsonl"
-    assert not (tmp_path / "s2.events.jsonl").exists(), "one who never said hello leaves no file"
+    (path,) = files(tmp_path)
+    assert path.name.endswith("-s1.events.jsonl"), "one who never said hello leaves no file"
     header, *events = [json.loads(line) for line in path.read_text().splitlines()]
     assert header["trace"] == "cags-session"
     assert {"queued", "sent", "acked", "delivered", "closed"} <= {event["event"] for event in events}

@@ -20,7 +20,7 @@ def lines(file: EventFile) -> list[dict[str, Any]]:
 
 
 def test_it_begins_with_the_first_message_and_has_the_header_first(tmp_path: Path) -> None:
-    file = EventFile(tmp_path / "traces", "s1")
+    file = EventFile(tmp_path / "traces", "run", "s1")
     file.trace.closed(1)
     assert not file.path.exists(), "nothing was queued: a refused client leaves no file"
     file.trace.queued(2, TILE, 4)
@@ -34,7 +34,7 @@ def test_it_begins_with_the_first_message_and_has_the_header_first(tmp_path: Pat
 
 def test_it_ends_at_its_bound_and_after_its_close(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(event_file, "MAX_BYTES", 150)
-    file = EventFile(tmp_path, "s2")
+    file = EventFile(tmp_path, "run", "s2")
     for number in range(100):
         file.trace.queued(number, TILE, 4)
     file.close()
@@ -46,7 +46,7 @@ def test_a_disk_that_cannot_be_written_ends_the_trace_with_one_line(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "taken").write_text("a file, not a folder")
-    file = EventFile(tmp_path / "taken", "s3")
+    file = EventFile(tmp_path / "taken", "run", "s3")
     file.trace.queued(1, TILE, 4)
     file.trace.queued(2, TILE, 8)
     assert [record.levelname for record in caplog.records] == ["WARNING"]

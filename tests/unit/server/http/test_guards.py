@@ -108,7 +108,7 @@ def test_the_metrics_page_without_anybody() -> None:
 
 
 def test_a_session_log_of_a_session_that_never_began(tmp_path) -> None:
-    path = write_session(tmp_path / "logs", "s1", StreamStats(), Closed("lost", "reset"))
+    path = write_session(tmp_path / "logs", "run", "s1", StreamStats(), Closed("lost", "reset"))
     head, end = (json.loads(line) for line in path.read_text().splitlines())
     assert head["session"] == "s1"
     assert end["ending"] == {"code": "lost", "reason": "reset"}

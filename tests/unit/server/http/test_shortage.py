@@ -40,9 +40,10 @@ def played(*, frames: int = 10, every: int = 1, common: dict[str, int] = RICH, *
         (played(common=FULL, reference_late=True), "renderer: 100 % of the references are late or left out"),
         (played(common=FULL, no_place=True, every=2), "renderer: 50 % of the references are late or left out"),
         (played(no_place=True, every=5), "nothing"),
-        (played(ticks_covered=3, every=2), "processor: the server skips 50 % of the frames, being late"),
+        (played(ticks_covered=2), "nothing"),  # a client that displays every other frame
+        (played(skipped=2, every=2), "processor: the server skips 50 % of the frames, being late"),
         (
-            played(common=FULL, reference_late=True, ticks_covered=2),
+            played(common=FULL, reference_late=True, skipped=1),
             "processor: the server skips 50 % of the frames, being late",
         ),
     ],
@@ -67,7 +68,7 @@ def test_the_log_says_it_when_it_changes(caplog: pytest.LogCaptureFixture) -> No
     now_s = [0.0]
     told = ShortageLog(logging.getLogger("test"), "s1", lambda: now_s[0])
     caplog.set_level(logging.INFO)
-    for stats in (played(), played(no_place=True), played(no_place=True), played(ticks_covered=3), played(common=FULL)):
+    for stats in (played(), played(no_place=True), played(no_place=True), played(skipped=2), played(common=FULL)):
         told.look(stats)
         told.look(StreamStats())  # too soon after the last
         now_s[0] += LOOK_EVERY_S

@@ -86,6 +86,60 @@ def test_frames_that_are_due_while_one_is_rendered_are_covered_by_the_newest() -
     assert schedule.next_tick == 3
 
 
+def test_frames_that_became_due_while_the_server_was_busy_are_skipped() -> None:
+    schedule = playing()
+    due_us = schedule.next_due_us(lambda: True)
+    assert due_us is not None
+    late_us = int(2.5 * PERIOD_US)
+    schedule.begin_render(late_us)
+    assert schedule.planned(due_us + late_us) == 2
+    assert schedule.planned(due_us + late_us) == 0, "counted once"
+
+
+def test_frames_that_were_due_before_the_control_came_are_not_skipped() -> None:
+    """Over a slow link with its long lead, the hold before a play once counted as 18 frames that were skipped."""
+    clock = ClientClock()
+    clock.observe(0, 0)
+    schedule = Schedule(SETTINGS, Timeline(FPS, FRAMES), clock, KnownLink())
+    schedule.controlled(Control("play", 0, AT_US), AT_US)
+    tick, _, covers = schedule.begin_render(6 * PERIOD_US)
+    assert (tick, covers) == (6, 7)
+    assert schedule.planned(AT_US) == 0
+
+
+def test_frames_that_a_longer_lead_has_made_due_are_not_skipped() -> None:
+    link = KnownLink()
+    schedule = playing(link=link)
+    due_us = schedule.next_due_us(lambda: True)
+    assert due_us is not None
+    planned(schedule)
+    schedule.planned(due_us)
+    schedule.pace.observe(1_000_000, 0, 0)
+    now_us, earlier_us = due_us + PERIOD_US, schedule.next_due_us(lambda: True)
+    assert earlier_us is not None
+    assert schedule.begin_render(now_us - earlier_us)[2] > 10
+    assert schedule.planned(now_us) == 0, "one became due since the last plan, and is planned"
+
+
+@pytest.mark.parametrize(("permille", "skipped"), [(1000, 7), (500, 3), (250, 1)])
+def test_of_frames_that_the_client_does_not_display_none_is_skipped(permille: int, skipped: int) -> None:
+    schedule = playing()
+    schedule.cadence_permille = permille
+    due_us = schedule.next_due_us(lambda: True)
+    assert due_us is not None
+    planned(schedule)
+    schedule.planned(due_us)
+    schedule.begin_render(8 * PERIOD_US - schedule.next_tick * PERIOD_US)
+    assert schedule.planned(due_us + 8 * PERIOD_US) == skipped
+
+
+def test_nothing_is_skipped_in_a_pause() -> None:
+    schedule = playing()
+    schedule.controlled(Control("pause", 0, AT_US), AT_US)
+    schedule.begin_render(20 * PERIOD_US)
+    assert schedule.planned(AT_US + 20 * PERIOD_US) == 0
+
+
 def test_a_render_that_is_overdue_is_served_blind_and_then_the_frame_after_it() -> None:
     schedule = playing()
     schedule.begin_render(0)

@@ -89,6 +89,25 @@ def test_at_a_low_rate_media_does_not_wait_a_whole_frame_for_a_slow_job() -> Non
     assert 0 < following_us <= lead_us / 3, "and so does the next"
 
 
+def test_frames_that_were_sent_before_the_play_are_in_time_once_they_are_displayed() -> None:
+    rig = Rig()
+    rig.poses(0, 20_000)
+    rig.control("pause", at_us=20_000)
+    for _ in range(6):
+        rig.step()
+    stats = rig.streamer.stats
+    assert (stats.frames_in_time, stats.frames_skipped) == (0, 0)
+    rig.control("play", at_us=900_000)
+    for _ in range(3):
+        rig.step()
+    rig.poses(899_999)
+    assert stats.frames_in_time == 0, "none is displayed yet"
+    rig.poses(900_000 + round(2 * PERIOD_US))
+    assert (stats.frames_in_time, stats.frames_late, stats.stalls) == (3, 0, 0)
+    rig.poses(900_000 + round(9 * PERIOD_US))
+    assert (stats.frames_in_time, stats.frames_late, stats.stalls) == (4, 6, 1), "it was sent up to frame 3"
+
+
 def test_one_job_at_a_time_and_a_failed_one_does_not_end_the_stream() -> None:
     rig = Rig()
     rig.play()
