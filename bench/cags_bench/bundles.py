@@ -34,7 +34,9 @@ def cached_bundle(
 
     ``cache`` is the folder of bundles; empty: :func:`default_cache`. A scene with fewer than ``settings.frames`` frames
     is repeated. ``progress``: show a progress bar. ``source`` opens the scene in another way; None: as its spec says.
+    Raises :class:`CagsError` if the scene cannot be read or the folder cannot be written.
     """
+    from cags_common.files import writable_folder
     from cags_encoder import content_key, encode
     from cags_encoder.execution.progress import progress_bar
     from cags_encoder.scenes import open_scene
@@ -42,11 +44,22 @@ def cached_bundle(
     folder = Path(cache) if cache else default_cache()
     bundle = folder / content_key(scene, settings)
     if not _readable(bundle):
-        folder.mkdir(parents=True, exist_ok=True)
+        writable_folder(folder)
         with progress_bar() if progress else nullcontext() as tell:
             opened = source() if source else looped(open_scene(scene), settings.frames)
             encode(opened, settings, str(bundle), tell)
     return bundle
+
+
+def frames_of(scene: str, most: int) -> int:
+    """Number of frames to play of a scene by default: all, at most ``most``; a still scene is shown for ``most``.
+
+    Raises :class:`CagsError` if the scene cannot be opened.
+    """
+    from cags_encoder.scenes import open_scene
+
+    length = len(open_scene(scene))
+    return most if length == 1 else min(length, most)
 
 
 def _readable(bundle: Path) -> bool:
@@ -141,7 +154,7 @@ def identified(scene: str, frames: int | None, folder: Path) -> FrameSource:
 
     import numpy as np
 
-    from cags_common.files import write_whole
+    from cags_common.files import writable_folder, write_whole
     from cags_encoder import EncodeSettings, content_key
     from cags_encoder.scenes import open_scene
     from cags_encoder.tracks.identity import IdentityTracker
@@ -152,7 +165,7 @@ def identified(scene: str, frames: int | None, folder: Path) -> FrameSource:
     count = len(source) if frames is None else frames
     path = folder / f"{content_key(scene, EncodeSettings(frames=frames))}.npz"
     if not path.exists():
-        folder.mkdir(parents=True, exist_ok=True)
+        writable_folder(folder)
         tracker, file = IdentityTracker(), io.BytesIO()
         found = [tracker.identify(source.frame(at), None, f"{scene}, frame {at}")[0] for at in range(count)]
         np.savez(file, *found)

@@ -29,7 +29,10 @@ class Process:
     log: Path
 
     def ready(self) -> dict[str, Any]:
-        """The process's ready line. Raises :class:`NetworkError` if it ends or stays silent instead."""
+        """The process's ready line; what it prints after that is discarded.
+
+        Raises :class:`NetworkError` if it ends or stays silent instead.
+        """
         line = _first_line(self.handle.stdout, READY_TIMEOUT_S)
         try:
             message = json.loads(line)
@@ -97,9 +100,17 @@ class ProcessGroup:
 
 
 def _first_line(stream: IO[str] | None, timeout_s: float) -> str:
+    """The first line of a pipe. The others are read too, until it ends: a process blocks at a pipe that is full."""
     assert stream is not None
     lines: queue.Queue[str] = queue.Queue()
-    threading.Thread(target=lambda: lines.put(stream.readline()), daemon=True).start()
+
+    def read() -> None:
+        with contextlib.suppress(ValueError):  # closed meanwhile
+            lines.put(stream.readline())
+            for _ in stream:
+                pass
+
+    threading.Thread(target=read, daemon=True).start()
     try:
         return lines.get(timeout=timeout_s)
     except queue.Empty:

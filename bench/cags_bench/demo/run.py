@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import json
-import shutil
+import os
+import subprocess
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
-from cags_bench.bundles import cached_bundle
+from cags_bench.bundles import cached_bundle, frames_of
 from cags_bench.demo.processes import Process, ProcessGroup
 from cags_bench.demo.settings import DemoSettings
 from cags_bench.doctor.machine import usable_cores
 from cags_bench.jsonl import provenance
 from cags_bench.stream_report import STAGES_EVERY, capacity_series, plot_stream, read_lines, telling_frame, write_strip
 from cags_bench.traces import scaled_trace
-from cags_common.errors import CagsError, NetworkError
+from cags_common.errors import CagsError, NetworkError, OutputError
+from cags_common.files import writable_folder
 from cags_common.poses import Focus, open_poses
 from cags_encoder import EncodeSettings
 from cags_shaper.trace import open_trace
@@ -25,8 +27,11 @@ DEFAULT_FRAMES = 90
 TRACE_S = 60.0
 """Length of the scaled trace, which repeats."""
 
-CLIENT_GRACE_S = 240.0
-"""Time that the client has to score its frames after the last one was shown."""
+CLIENT_GRACE_S, SCORING_S = 240.0, 2.5
+"""Longest times that the client takes beside its play: to start, to join and to end, and to score each frame."""
+
+SCRATCH = ".cags-demo-"
+"""Beginning of the name of the folder in which a report is made."""
 
 
 def threads_each(settings: DemoSettings) -> str:
@@ -44,7 +49,7 @@ class DemoSize:
 
 
 NATIVE = DemoSize(640, 480, "procedural:size=30000,frames=90")
-READABLE = DemoSize(320, 240, "procedural:size=3000,frames=24")
+READABLE = DemoSize(320, 240, "procedural:size=3000,frames=90")
 """Without the native kernels the float64 reference renders, which is correct but a hundred times slower."""
 
 
@@ -55,17 +60,19 @@ def run_demo(scene: str, settings: DemoSettings, progress: IO[str]) -> dict[str,
     """
     size = machine_size(progress)
     width, height = settings.width or size.width_px, settings.height or size.height_px
-    out = Path(settings.out)
+    out = Path(os.path.realpath(settings.out))  # a symbolic link stays one
     check_replaceable(out)
-    out.parent.mkdir(parents=True, exist_ok=True)
+    beside = writable_folder(out if out.exists() else out.parent)
     bundle = demo_bundle(scene, size, settings)
-    with tempfile.TemporaryDirectory(prefix=".cags-demo-", dir=out.parent) as scratch:
+    frames, fps = clip_length(bundle)
+    with tempfile.TemporaryDirectory(prefix=SCRATCH, dir=beside) as scratch:
         report = Path(scratch) / "report"
         report.mkdir()
-        client = stream_once(str(bundle), replace(settings, width=width, height=height), report, progress)
-        summary = write_report(report, settings, clip_frames(bundle, settings))
+        sized = replace(settings, width=width, height=height)
+        client = stream_once(str(bundle), sized, report, progress, limit_s=client_limit_s(frames, fps))
+        summary = write_report(report, settings, frames)
         summary["client_exit_code"] = client
-        replace_folder(report, out)
+        replace_files(report, out)
     return summary
 
 
@@ -79,7 +86,8 @@ def demo_bundle(scene: str, size: DemoSize, settings: DemoSettings) -> Path:
     """The encoded scene, from the cache if possible; the built-in scene has the size that suits the machine."""
     check_link_and_walk(settings)
     spec = size.scene if scene == "procedural" else scene
-    return cached_bundle(spec, settings.cache, EncodeSettings(frames=settings.frames or DEFAULT_FRAMES))
+    frames = settings.frames or frames_of(spec, DEFAULT_FRAMES)
+    return cached_bundle(spec, settings.cache, EncodeSettings(frames=frames))
 
 
 def machine_size(progress: IO[str]) -> DemoSize:
@@ -120,13 +128,16 @@ def show_live(scene: str, settings: DemoSettings, progress: IO[str]) -> None:
         raise NetworkError(f"{client.name} ended: {client.last_words()}")
 
 
-def stream_once(bundle: str, settings: DemoSettings, report: Path, progress: IO[str]) -> int:
-    """Run server, shaper and client until the client ends; logs and frames are written to ``report``."""
+def stream_once(bundle: str, settings: DemoSettings, report: Path, progress: IO[str], *, limit_s: float) -> int:
+    """Run server, shaper and client until the client ends; logs and frames are written to ``report``.
+
+    Raises :class:`CagsError` if a part fails, or if the client has not ended after ``limit_s``.
+    """
     with ProcessGroup(report) as group:
         shaper = start_link(group, bundle, settings)
         print(f"cags-demo: server and shaper are up (port {shaper['port']}), client starts", file=progress)
         client = group.start("cags_client", client_arguments(bundle, shaper["port"], settings, report))
-        return wait_for_client(client)
+        return wait_for_client(client, limit_s)
 
 
 def start_link(group: ProcessGroup, bundle: str, settings: DemoSettings, *more: str) -> dict[str, Any]:
@@ -155,9 +166,19 @@ def client_arguments(bundle: str, port: int, settings: DemoSettings, report: Pat
     ]
 
 
-def wait_for_client(client: Process) -> int:
-    """Wait until the client ends. Raises :class:`NetworkError` with its last message if it fails."""
-    output, _ = client.handle.communicate(timeout=CLIENT_GRACE_S)
+def client_limit_s(frames: int, fps: float) -> float:
+    """Longest time that the client may take for a clip: to play it and to score it."""
+    return CLIENT_GRACE_S + frames / fps + frames * SCORING_S
+
+
+def wait_for_client(client: Process, limit_s: float) -> int:
+    """Wait until the client ends. Raises :class:`NetworkError` with its last message if it fails, or takes longer."""
+    try:
+        output, _ = client.handle.communicate(timeout=limit_s)
+    except subprocess.TimeoutExpired:
+        raise NetworkError(
+            f"{client.name} did not end within {limit_s:.0f} s; give fewer --frames or a smaller --width and --height"
+        ) from None
     if client.handle.returncode != 0:
         raise NetworkError(f"{client.name} failed: {client.last_words()}")
     if output:
@@ -165,12 +186,12 @@ def wait_for_client(client: Process) -> int:
     return client.handle.returncode
 
 
-def clip_frames(bundle: Path, settings: DemoSettings) -> int:
-    """Number of media frames in the play."""
+def clip_length(bundle: Path) -> tuple[int, float]:
+    """Number of media frames in the play, and frames per second."""
     from cags_common.bundle import BundleReader
 
     with BundleReader.open(str(bundle)) as reader:
-        return reader.manifest.frames
+        return reader.manifest.frames, reader.manifest.fps
 
 
 def write_report(report: Path, settings: DemoSettings, clip_frames: int) -> dict[str, Any]:
@@ -190,13 +211,35 @@ def write_report(report: Path, settings: DemoSettings, clip_frames: int) -> dict
 
 
 def check_replaceable(out: Path) -> None:
-    """Refuse to replace a folder that is not an earlier report."""
-    if out.exists() and not (out.is_dir() and (not any(out.iterdir()) or (out / "summary.json").exists())):
-        raise CagsError(f"{out}: exists and is not an earlier report; name another folder with --out")
+    """Refuse to replace what is not an earlier report, nor an empty folder. Raises :class:`CagsError`."""
+    if not out.exists() and not out.is_symlink():
+        return
+    if out.is_dir():
+        names = {path.name for path in out.iterdir() if not path.name.startswith(SCRATCH)}
+        if not names or "summary.json" in names:
+            return
+    raise CagsError(f"{out}: exists and is not an earlier report; name another folder with --out")
 
 
-def replace_folder(made: Path, out: Path) -> None:
-    """Replace an earlier folder by a finished one."""
-    if out.exists():
-        shutil.rmtree(out)
-    made.rename(out)
+def replace_files(made: Path, out: Path) -> None:
+    """Put the files of a finished report into the place of those of an earlier one, which are left beside ``made``.
+
+    The folder ``out`` itself stays if there is one: it may be a mount, or the folder that somebody works in. Raises
+    :class:`OutputError`, and leaves it as it was, if files cannot be moved.
+    """
+    if not out.exists():
+        made.rename(out)
+        return
+    old = made.with_name("old")
+    old.mkdir()
+    away = [(path, old / path.name) for path in out.iterdir() if path not in made.parents]
+    moves = [*away, *((path, out / path.name) for path in made.iterdir())]
+    moved: list[tuple[Path, Path]] = []
+    try:
+        for source, target in moves:
+            source.rename(target)
+            moved.append((source, target))
+    except OSError as error:
+        for source, target in reversed(moved):
+            target.rename(source)
+        raise OutputError.of(out, error) from error

@@ -12,7 +12,12 @@ class DemoSettings:
     """Scene, link and sizes of the demo."""
 
     out: str = setting("cags-demo-report", "folder for the report; replaced when the demo succeeds")
-    frames: int = setting(0, "media frames to play; 0: the whole scene, up to 90", low=0, high=100_000)
+    frames: int = setting(
+        0,
+        "media frames to play; 0: the scene once, up to 90 frames (a still one for 90); more than it has: it repeats",
+        low=0,
+        high=100_000,
+    )
     trace: str = setting("generated:lte-driving", "network trace: a file or generated:NAME (see cags-shaper --help)")
     share: float = setting(
         0.12,

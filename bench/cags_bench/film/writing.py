@@ -37,18 +37,24 @@ def write_clip(film: Film, path: Path, *, beside_truth: bool) -> None:
         writer.close(completed=done)
 
 
+def check_strip(frames: Sequence[int], start: int) -> None:
+    """Raise :class:`ConfigError` unless a film of media ``frames`` has a strip that begins at ``start``."""
+    if start in frames and frames.index(start) + STRIP_FRAMES <= len(frames):
+        return
+    last = frames[-1] - STRIP_FRAMES + 1 if frames else -1
+    raise ConfigError(
+        f"strip = {start}: {STRIP_FRAMES} frames from there are not in the film; "
+        + (f"give {frames[0]} to {last}" if frames and last >= frames[0] else "play more frames")
+    )
+
+
 def write_strip(film: Film, start: int, psnr_db: Sequence[float | None], path: Path) -> None:
     """Write :data:`STRIP_FRAMES` frames from media frame ``start``, side by side: shown, true, and the error.
 
     ``psnr_db`` has a value for each frame of the film, None if it was not measured. Raises :class:`ConfigError` if the
     film ends too early.
     """
-    if start not in film.frames or film.frames.index(start) + STRIP_FRAMES > len(film.frames):
-        last = film.frames[-1] - STRIP_FRAMES + 1 if film.frames else -1
-        raise ConfigError(
-            f"strip = {start}: {STRIP_FRAMES} frames from there are not in the film; "
-            + (f"give {film.frames[0]} to {last}" if film.frames and last >= film.frames[0] else "play more frames")
-        )
+    check_strip(film.frames, start)
     first = film.frames.index(start)
     shown, true = film.shown.pictures(), film.truth.pictures()
     columns = []

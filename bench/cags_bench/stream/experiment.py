@@ -26,7 +26,9 @@ def stream_lines(settings: StreamSettings) -> Iterator[JsonObject]:
     seeds = settings.seed_list
     plays = {state: [_play(one, state, seed, settings) for seed in seeds] for state, one in states}
     for state_plays in plays.values():
-        state_plays[0].check()
+        state_plays[0].check()  # seeds differ in their outputs alone
+    for play in (play for state_plays in plays.values() for play in state_plays):
+        play.check_outputs()
     lines: dict[str, list[JsonObject]] = {state: [] for state in plays}
     for seed in seeds:
         for state, state_plays in plays.items():

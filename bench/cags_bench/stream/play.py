@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from cags_bench.bundles import cached_bundle
+from cags_bench.bundles import cached_bundle, frames_of
 from cags_bench.film.film import Film, FilmMaker
 from cags_bench.film.metrics import lacking, measure
 from cags_bench.jsonl import dump
@@ -19,13 +19,15 @@ from cags_bench.stream.settings import DEFAULT_FRAMES, NO_FIGURE, StreamSettings
 from cags_bench.stream.stages import StageSaver
 from cags_bench.stream_report import STAGES_EVERY
 from cags_bench.traces import scaled_trace
-from cags_client.frame import restore
+from cags_client.frame import align, restore
 from cags_client.frame.presented import PresentedFrame
+from cags_common import raster
 from cags_common.errors import ConfigError
+from cags_common.files import writable_folder
+from cags_common.lpips import SMALLEST_SIDE_PX, Lpips
+from cags_common.poses import Focus, open_poses
 from cags_encoder import EncodeSettings
-from cags_server.fov import create_fov_policy
-from cags_server.predict import create_predictor
-from cags_server.ratecontrol import create_rate_policy
+from cags_server.session.policies import check_choices
 from cags_shaper.trace import open_trace
 
 
@@ -39,13 +41,41 @@ class Play:
     """Short label for files and rows; empty if there is only one play."""
 
     def check(self) -> None:
-        """Raise :class:`ConfigError` for unknown names before a scene is encoded."""
-        server, client = self.settings.server, self.settings.client
-        create_rate_policy(server.abr)
-        create_predictor(server.predictor)
-        create_fov_policy(server.fov)
+        """Refuse what cannot be played before a scene is encoded: all but the outputs, which differ from play to play.
+
+        Raises :class:`CagsError`.
+        """
+        settings, server, client = self.settings, self.settings.server, self.settings.client
+        check_choices(server)
         restore.check_name(client.restore)
-        open_trace(self.settings.trace)
+        align.create(client.align)
+        for rasteriser in (server.rasteriser, client.raster):
+            raster.create(rasteriser)
+        open_trace(settings.trace)
+        open_poses(settings.poses, Focus((0.0, 0.0, 0.0), 1.0, (0.0, 1.0, 0.0)))
+        if settings.lpips:
+            Lpips(settings.lpips)
+            if min(client.width, client.height) < SMALLEST_SIDE_PX:
+                raise ConfigError(
+                    f"lpips = {settings.lpips!r}: pictures of {client.width}x{client.height} are too small for it; "
+                    f"give --width and --height of {SMALLEST_SIDE_PX} or more"
+                )
+        frames = self._frames()
+        if settings.strip is not None:
+            from cags_bench.film.writing import check_strip
+
+            check_strip(range(client.start_frame, frames), settings.strip)
+
+    def check_outputs(self) -> None:
+        """Refuse files and folders that cannot be written; make the report's folder. Raises :class:`CagsError`."""
+        if self.settings.record:
+            record = self._beside(Path(self.settings.record))
+            if record.is_dir() or not record.parent.is_dir():
+                what = f"{record} is a folder" if record.is_dir() else f"there is no folder {record.parent}"
+                raise ConfigError(f"record = {self.settings.record!r}: {what}; name a file in an existing one")
+            writable_folder(record.parent)
+        if self.settings.out:
+            writable_folder(self._beside(Path(self.settings.out)))
 
     def line(self) -> dict[str, Any]:
         """Play, write the requested files, and return the figures. Raises :class:`CagsError`."""
@@ -101,18 +131,30 @@ class Play:
         """The bundle, and the length to play in seconds; None: all of it."""
         settings = self.settings
         if not is_bundle(settings.scene):
-            encode = EncodeSettings(frames=settings.frames or DEFAULT_FRAMES)
-            if settings.quantiser:
-                encode = replace(encode, quantiser=settings.quantiser)
-            return cached_bundle(settings.scene, settings.cache, encode), None
-        if settings.quantiser:
-            raise ConfigError(f"quantiser = {settings.quantiser!r}: {settings.scene} is encoded already; leave it out")
+            return cached_bundle(settings.scene, settings.cache, self._encoding()), None
         bundle = Path(settings.scene)
         with open_bundle(bundle) as reader:
-            count, fps = reader.manifest.frames, reader.manifest.fps
+            fps = reader.manifest.fps
+        return bundle, settings.frames / fps if settings.frames else None
+
+    def _encoding(self) -> EncodeSettings:
+        """How a scene is encoded."""
+        settings = self.settings
+        encode = EncodeSettings(frames=settings.frames or frames_of(settings.scene, DEFAULT_FRAMES))
+        return replace(encode, quantiser=settings.quantiser) if settings.quantiser else encode
+
+    def _frames(self) -> int:
+        """The media frame before which the play ends. Raises :class:`CagsError` for what the scene cannot give."""
+        settings = self.settings
+        if not is_bundle(settings.scene):
+            return self._encoding().frames or 0
+        if settings.quantiser:
+            raise ConfigError(f"quantiser = {settings.quantiser!r}: {settings.scene} is encoded already; leave it out")
+        with open_bundle(Path(settings.scene)) as reader:
+            count = reader.manifest.frames
         if settings.frames > count:
             raise ConfigError(f"frames = {settings.frames}: {settings.scene} has {count}; give fewer")
-        return bundle, settings.frames / fps if settings.frames else None
+        return min(count, settings.client.start_frame + settings.frames) if settings.frames else count
 
     @contextmanager
     def _stages(self, truth: LastTruth) -> Iterator[Watcher]:

@@ -17,7 +17,7 @@ from cags_common.settings import add_flags, add_settings, check_settings, load_s
 from cags_server.settings import ServerSettings, ServeSettings
 
 DEFAULT_FRAMES = 60
-"""Media frames that are encoded and played of a scene."""
+"""Largest number of media frames that are encoded and played of a scene by default."""
 
 COMPARED_SEEDS = 3
 """Default number of plays of each of two compared settings."""
@@ -40,7 +40,11 @@ class StreamSettings:
     share: float = setting(1.0, "factor on the trace's bandwidth", low=1e-3, high=10)
     poses: str = setting("synthetic:walking", "head motion: a pose file or synthetic:NAME")
     frames: int = setting(
-        0, f"media frames to play; 0: all of a bundle, {DEFAULT_FRAMES} of a scene", low=0, high=1_000_000
+        0,
+        f"media frames to play; 0: all of a bundle, or a scene once, up to {DEFAULT_FRAMES} frames (a still one for "
+        f"{DEFAULT_FRAMES}); more than a scene has: it repeats",
+        low=0,
+        high=1_000_000,
     )
     seeds: int = setting(
         0,

@@ -1,13 +1,19 @@
 """Every subcommand that is advertised exists and explains itself."""
 
+import errno
 import importlib
+import io
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from cags_bench.cli import SUBCOMMANDS, main
 from cags_bench.demo import cli as demo
+from cags_bench.demo import run
 from cags_bench.demo.run import check_replaceable
-from cags_common.errors import CagsError
+from cags_bench.demo.settings import DemoSettings
+from cags_common.errors import CagsError, OutputError
 
 
 @pytest.mark.parametrize("name", SUBCOMMANDS)
@@ -35,6 +41,110 @@ def test_the_demo_replaces_only_its_own_reports(tmp_path):
         check_replaceable(tmp_path)
     (tmp_path / "summary.json").write_text("{}")
     check_replaceable(tmp_path)
+
+
+@pytest.fixture
+def played(monkeypatch: pytest.MonkeyPatch) -> DemoSettings:
+    """A demo whose play takes no time, and whose report has one file beside the summary."""
+
+    def stream(bundle: str, settings: DemoSettings, report: Path, progress: object, *, limit_s: float) -> int:
+        (report / "frames.jsonl").write_text("new")
+        return 0
+
+    def write(report: Path, settings: DemoSettings, frames: int) -> dict[str, int]:
+        (report / "summary.json").write_text("new")
+        return {}
+
+    monkeypatch.setattr(run, "demo_bundle", lambda *rest: Path("clip.cags"))
+    monkeypatch.setattr(run, "clip_length", lambda bundle: (90, 30.0))
+    monkeypatch.setattr(run, "stream_once", stream)
+    monkeypatch.setattr(run, "write_report", write)
+    return DemoSettings()
+
+
+def earlier_report(folder: Path) -> Path:
+    (folder / "stages").mkdir(parents=True)
+    for name in ("summary.json", "strip.png", "stages/frame.png"):
+        (folder / name).write_text("old")
+    return folder
+
+
+def contents(folder: Path) -> dict[str, str]:
+    return {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*") if path.is_file()}
+
+
+NEW = {"summary.json": "new", "frames.jsonl": "new"}
+
+
+def play(settings: DemoSettings, out: object) -> None:
+    run.run_demo("procedural", replace(settings, out=str(out)), io.StringIO())
+
+
+def test_the_demo_makes_its_folder_and_replaces_an_earlier_report(played, tmp_path):
+    play(played, tmp_path / "deep" / "report")
+    assert contents(tmp_path / "deep" / "report") == NEW
+    report = earlier_report(tmp_path / "report")
+    play(played, report)
+    assert contents(report) == NEW
+    assert not (report / "stages").exists()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["deep", "report"]
+
+
+def test_the_demo_replaces_the_report_that_it_is_run_in(played, tmp_path, monkeypatch):
+    """``--out .`` once deleted the old report, and lost the new one with it."""
+    monkeypatch.chdir(earlier_report(tmp_path / "report"))
+    play(played, ".")
+    assert contents(tmp_path / "report") == contents(Path()) == NEW
+
+
+def test_a_link_to_a_report_stays_a_link(played, tmp_path):
+    report, link = earlier_report(tmp_path / "report"), tmp_path / "link"
+    for target in (report, tmp_path / "yet to come"):
+        link.unlink(missing_ok=True)
+        link.symlink_to(target)
+        play(played, link)
+        assert link.is_symlink()
+        assert contents(target) == NEW
+
+
+def test_a_report_that_cannot_be_replaced_stays(tmp_path, monkeypatch):
+    report, made = earlier_report(tmp_path / "report"), tmp_path / "scratch" / "report"
+    before = contents(report)
+    made.mkdir(parents=True)
+    (made / "summary.json").write_text("new")
+    rename = Path.rename
+
+    def fail(path: Path, target: Path) -> Path:
+        if path.parent == made:
+            raise OSError(errno.EIO, "broken disk")
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", fail)
+    with pytest.raises(OutputError, match=r"report: cannot be written \(broken disk\)"):
+        run.replace_files(made, report)
+    assert contents(report) == before
+
+
+@pytest.mark.parametrize("flag", ["--out", "--cache"])
+def test_the_demo_tells_which_folder_cannot_be_written_before_it_encodes(tmp_path, monkeypatch, capsys, flag):
+    monkeypatch.setattr("cags_encoder.encode", lambda *rest: pytest.fail("a scene was encoded"))
+    taken = tmp_path / "taken"
+    taken.write_text("a file")
+    folder = taken / "report" if flag == "--out" else taken
+    assert demo.main(["procedural:size=500", "--out", str(tmp_path / "out"), flag, str(folder)]) == 1
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert f"cags-demo: {taken}: cannot be written" in said
+    assert said.endswith("choose another place")
+
+
+@pytest.mark.parametrize(
+    ("scene", "asked", "frames"),
+    [("frames=10", 0, 10), ("frames=120", 0, 90), ("frames=1", 0, 90), ("frames=10", 25, 25), ("frames=10", 5, 5)],
+)
+def test_the_demo_plays_a_scene_once_unless_more_is_asked_for(monkeypatch, scene, asked, frames):
+    """A scene of 10 frames once went round nine times, though --help said otherwise."""
+    monkeypatch.setattr(run, "cached_bundle", lambda spec, cache, settings: settings.frames)
+    assert run.demo_bundle(f"procedural:size=500,{scene}", run.NATIVE, DemoSettings(frames=asked)) == frames
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from cags_bench.demo.settings import DemoSettings
 from cags_bench.stream.play import Play
 from cags_bench.stream.settings import FIELDS, StreamSettings, add_arguments, changed, load
 from cags_client.settings import ClientSettings
-from cags_common.errors import ConfigError
+from cags_common.errors import CagsError, ConfigError
 from cags_common.settings import add_flags, load_settings
 from cags_server.settings import ServerSettings, ServeSettings
 
@@ -107,10 +107,16 @@ def test_every_name_is_a_setting_of_one_side() -> None:
         ("predictor", "oracle", "predictor = 'oracle' is unknown; known: hold"),
         ("fov_policy", "huge", "fov = 'huge' is unknown; known: fixed"),
         ("restore", "magic", "restorer 'magic' is unknown; known: correct, none"),
+        ("align", "magic", "'magic' is unknown"),
+        ("raster", "foo", "rasteriser 'foo' is unknown"),
+        ("rasteriser", "foo", "rasteriser 'foo' is unknown"),
+        ("poses", "nope", "nope: cannot be read"),
+        ("lpips", "nope.npz", "nope.npz: is not an LPIPS weights file"),
+        ("trace", "nope", "nope: cannot be read"),
     ],
 )
 def test_unknown_names_are_refused_before_anything_is_encoded(name: str, value: str, message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(CagsError, match=message):
         Play(changed(StreamSettings(scene="/nowhere"), name, value)).check()
 
 

@@ -19,13 +19,14 @@ from cags_bench.film import metrics
 from cags_bench.jsonl import dump
 from cags_bench.sim.bundle import SOURCE, TOP_LEVEL
 from cags_bench.stream import experiment
+from cags_bench.stream import play as module
 from cags_bench.stream.experiment import stream_lines, verdict_of
 from cags_bench.stream.figures import FIGURES
 from cags_bench.stream.play import Play
 from cags_bench.stream.settings import StreamSettings
 from cags_bench.stream.tables import print_plays
 from cags_client.settings import ClientSettings
-from cags_common.errors import ConfigError
+from cags_common.errors import CagsError, ConfigError
 from cags_encoder import EncodeSettings
 from cags_encoder.bundles.publish import publish
 
@@ -149,6 +150,49 @@ def test_both_values_are_checked_before_the_first_play(
     monkeypatch.setattr(Play, "line", lambda self: pytest.fail("it was played"))
     with pytest.raises(ConfigError, match="abr = 'greedy' is unknown"):
         next(stream_lines(replace(settings, compare="abr=utility,greedy")))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"compare": "raster=cpu,foo"}, "rasteriser 'foo' is unknown"),
+        ({"compare": "quantiser=,magic", "scene": "procedural"}, "must be NAME=A,B"),
+        ({"compare": "quantiser=paper-66,magic", "scene": "procedural"}, "magic"),
+        ({"strip": 0, "out": "new", "frames": 10}, "strip = 0: 12 frames from there are not in the film; play more"),
+        ({"strip": 3, "out": "new"}, "strip = 3: 12 frames from there are not in the film; give 0 to 2"),
+        ({"strip": 0, "out": "new", "scene": "procedural:frames=10"}, "strip = 0: 12 frames from there"),
+        ({"out": "taken.mp4"}, r"taken\.mp4: cannot be written"),
+        ({"out": "half", "seeds": 2}, r"half/seed1: cannot be written"),
+        ({"record": "nodir/x.mp4"}, r"record = 'nodir/x\.mp4': there is no folder nodir; name a file in an existing"),
+        ({"record": "folder.mp4"}, r"record = 'folder\.mp4': folder\.mp4 is a folder"),
+        ({"lpips": "weights.npz", "client": ClientSettings(width=96, height=20)}, "pictures of 96x20 are too small"),
+    ],
+)
+def test_what_cannot_be_played_or_written_is_refused_before_the_first_play(
+    settings: StreamSettings, changes: dict, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Play, "line", lambda self: pytest.fail("it was played"))
+    monkeypatch.setattr(module, "Lpips", lambda path: None)
+    (tmp_path / "taken.mp4").write_text("a film")
+    (tmp_path / "folder.mp4").mkdir()
+    (tmp_path / "half").mkdir()
+    (tmp_path / "half" / "seed1").write_text("no folder")
+    with pytest.raises(CagsError, match=message):
+        next(stream_lines(replace(settings, **changes)))
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(
+    ("scene", "asked", "frames"), [("frames=10", 0, 10), ("frames=90", 0, 60), ("frames=10", 25, 25)]
+)
+def test_a_scene_is_played_once_unless_more_is_asked_for(
+    settings: StreamSettings, monkeypatch: pytest.MonkeyPatch, scene: str, asked: int, frames: int
+) -> None:
+    encoded: list[int | None] = []
+    monkeypatch.setattr(module, "cached_bundle", lambda spec, cache, encode: encoded.append(encode.frames) or Path())
+    Play(replace(settings, scene=f"procedural:size=500,{scene}", frames=asked)).scenario()
+    assert encoded == [frames]
 
 
 @pytest.mark.parametrize(
