@@ -2,15 +2,40 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import ClassVar
 
 from cags_common.errors import ConfigError
 from cags_common.settings import check_settings, setting
-from cags_common.transport.hosts import is_loopback
+from cags_common.transport.hosts import is_loopback, named
 
 CLIENT, PLAIN = "client", "plain"
 """Footprints of references (``reference_footprint``)."""
+
+
+ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^/\s?#@]+/?|null")
+"""What a browser may send as ``Origin``: scheme, host and port; ``null`` for pages from files."""
+
+HOST = re.compile(r"[a-z0-9_-]+(\.[a-z0-9_-]+)*\.?", re.IGNORECASE)
+
+
+def check_origins(text: str) -> None:
+    """Raise :class:`ConfigError` where a part of a comma-separated list is no origin, which no page can have."""
+    if text.strip() == "*":
+        return
+    for part in filter(None, map(str.strip, text.split(","))):
+        if not ORIGIN.fullmatch(part):
+            raise ConfigError(f"origins: {part!r} is no origin; give ones such as https://viewer.example, or * alone")
+
+
+def check_hosts(text: str) -> None:
+    """Raise :class:`ConfigError` where a part of a comma-separated list is no name that a request can ask for."""
+    for name in named(text):
+        if not HOST.fullmatch(name):
+            raise ConfigError(
+                f"hosts: {name!r} is no host name; give ones such as viewer.example, without scheme, port and path"
+            )
 
 
 @dataclass(frozen=True)
@@ -116,6 +141,11 @@ class ServerSettings:
         check_settings(self)
         if self.reference_chroma == "yuv420p" and (self.reference_width % 2 or self.reference_height % 2):
             raise ConfigError(f"reference size {self.reference_width}x{self.reference_height} must be even for yuv420p")
+        if self.reference_share > self.reference_most:
+            raise ConfigError(
+                f"reference_share = {self.reference_share} is above reference_most = {self.reference_most}, beyond "
+                "which references are skipped; lower --reference-share or raise --reference-most"
+            )
 
 
 @dataclass(frozen=True)
@@ -165,6 +195,12 @@ class ServeSettings(ServerSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if not self.host.strip():
+            raise ConfigError(
+                f"host = {self.host!r} is no address; give 127.0.0.1 for this machine alone, or 0.0.0.0 for all"
+            )
+        check_origins(self.origins)
+        check_hosts(self.hosts)
         if self.token and not all(part.strip() for part in self.token.split(",")):
             raise ConfigError("token has an empty part, which would let everybody in; separate tokens by one comma")
         if self.accept_uploads and not self.token and (self.hosts or not is_loopback(self.host)):

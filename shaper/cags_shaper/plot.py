@@ -9,9 +9,14 @@ from typing import Any
 from cags_common.errors import TraceError
 from cags_shaper.log import INTERVAL_US
 
+DIRECTIONS = "down", "up"
+
 
 def plot_log(path: Path) -> Path:
     """Draw ``path`` into a PNG beside it, and return that. Raises :class:`TraceError` for anything else."""
+    out = path.with_suffix(".png")
+    if out == path:
+        raise TraceError(f"{path}: its picture would take its place; give the log another name")
     rows = read_log(path)
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -19,7 +24,7 @@ def plot_log(path: Path) -> Path:
     figure = Figure(figsize=(10, 6), layout="constrained")
     FigureCanvasAgg(figure)
     rate, queue = figure.subplots(2, 1, sharex=True)
-    for direction, colour in (("down", "tab:blue"), ("up", "tab:orange")):
+    for direction, colour in zip(DIRECTIONS, ("tab:blue", "tab:orange"), strict=True):
         here = [row for row in rows if row["direction"] == direction]
         seconds = [row["t_us"] / 1e6 for row in here]
         spans_us = [b["t_us"] - a["t_us"] for a, b in zip([{"t_us": 0}, *here[:-1]], here, strict=True)]
@@ -34,7 +39,6 @@ def plot_log(path: Path) -> Path:
     queue.set_xlabel("time, s")
     rate.legend(loc="upper right")
     queue.legend(loc="upper right")
-    out = path.with_suffix(".png")
     figure.savefig(out, dpi=110)
     return out
 
@@ -52,4 +56,16 @@ def read_log(path: Path) -> list[dict[str, Any]]:
         raise TraceError(f"{path}: is no log of cags-shaper ({error})") from error
     if not known or not rows:
         raise TraceError(f"{path}: is no log of this version of cags-shaper, or holds no samples")
+    for number, row in enumerate(rows, start=2):
+        if not _is_sample(row):
+            raise TraceError(f"{path}, line {number}: is no sample of cags-shaper; give a file written by --log")
     return rows
+
+
+def _is_sample(row: Any) -> bool:
+    """Whether ``row`` has what is drawn of a sample."""
+    if not isinstance(row, dict) or row.get("direction") not in DIRECTIONS:
+        return False
+    capacity = row.get("capacity_bytes", "")
+    counts = [row.get(name) for name in ("t_us", "delivered_bytes", "queued_bytes")]
+    return all(isinstance(value, int | float) for value in (*counts, 0 if capacity is None else capacity))

@@ -48,6 +48,8 @@ class ShaperSettings:
         check_settings(self)
         for flag in ("listen", "to", "control"):
             self.address(flag)
+        if (target := self.address("to")) is not None and not target[1]:
+            raise ConfigError(f"--to {self.to}: nothing listens on port 0; give the port of the server")
         if not self.tun and (self.loss or self.queue_packets is not None):
             raise ConfigError(
                 "--loss and --queue-packets act on packets: a stream loses nothing; add --tun and a COMMAND"

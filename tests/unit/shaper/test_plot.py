@@ -1,4 +1,5 @@
 import io
+import json
 
 import pytest
 
@@ -49,6 +50,29 @@ def test_what_is_no_log_is_refused(tmp_path, capsys, text):
     log.write_text(text)
     assert main(["--plot", str(log)]) == 1
     assert "s.jsonl: is no log" in capsys.readouterr().err
+
+
+SAMPLE = {"t_us": 1, "direction": "down", "capacity_bytes": None, "delivered_bytes": 0, "queued_bytes": 0}
+
+
+@pytest.mark.parametrize("row", ['{"t_us": 1}', "5", json.dumps(SAMPLE | {"direction": "left"}), "{}"])
+def test_a_row_that_is_no_sample_is_refused(tmp_path, capsys, row):
+    log = tmp_path / "s.jsonl"
+    header = written_log(None).splitlines()[0]
+    log.write_text(f"{header}\n{json.dumps(SAMPLE)}\n{row}\n")
+    assert main(["--plot", str(log)]) == 1
+    assert capsys.readouterr().err == (
+        f"cags-shaper: {log}, line 3: is no sample of cags-shaper; give a file written by --log\n"
+    )
+    assert not (tmp_path / "s.png").exists()
+
+
+def test_a_picture_does_not_take_the_place_of_its_log(tmp_path, capsys):
+    log = tmp_path / "s.png"
+    log.write_text(written_log(None))
+    assert main(["--plot", str(log)]) == 1
+    assert "s.png: its picture would take its place; give the log another name" in capsys.readouterr().err
+    assert log.read_text() == written_log(None)
 
 
 def test_a_missing_log_is_named(tmp_path):

@@ -115,6 +115,7 @@ async def test_a_port_in_use_is_one_clear_line():
     [
         (["--trace", "nowhere.csv"], 1, "nowhere.csv: cannot be read"),
         (["--trace", "generated:mars"], 1, "unknown trace 'mars'"),
+        (["--to", "127.0.0.1:0"], 2, "--to 127.0.0.1:0: nothing listens on port 0; give the port of the server"),
         (["--listen", "8765"], 2, "--listen 8765: must be HOST:PORT"),
         (["--listen", "127.0.0.1:99999"], 2, "must be HOST:PORT"),
         (["--delay-ms", "-5"], 2, "delay_ms = -5.0 must lie in"),

@@ -51,6 +51,37 @@ def test_tokens() -> None:
     assert not token_allowed("s", hello(), "Bearer \udcff")  # a byte that is not UTF-8, as aiohttp hands it on
 
 
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"host": ""}, r"host = '' is no address; give 127\.0\.0\.1"),
+        ({"origins": "foo bar"}, "origins: 'foo bar' is no origin; give ones such as https://viewer.example"),
+        ({"origins": "https://a.example, *"}, r"origins: '\*' is no origin"),
+        ({"origins": "https://a.example/page"}, "origins: 'https://a.example/page' is no origin"),
+        ({"hosts": "http://x"}, "hosts: 'http://x' is no host name; give ones such as viewer.example"),
+        ({"hosts": "a.example, b.example:8443"}, "hosts: 'b.example:8443' is no host name"),
+        ({"reference_share": 0.5, "reference_most": 0.2}, "reference_share = 0.5 is above reference_most = 0.2"),
+    ],
+)
+def test_settings_that_can_do_nothing_are_refused(changes: dict, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        ServeSettings(bundle="x", **changes)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"origins": "*"},
+        {"origins": "https://a.example, http://127.0.0.1:8000/,null,"},
+        {"origins": "http://[::1]:8765"},
+        {"hosts": "Viewer.example, 10.0.0.1, localhost"},
+        {"reference_share": 1.0, "reference_most": 1.0},
+    ],
+)
+def test_origins_hosts_and_shares_that_are_taken(changes: dict) -> None:
+    ServeSettings(bundle="x", **changes)
+
+
 def test_tls_needs_both_files_and_readable_ones(tmp_path) -> None:
     assert tls_context("", "") is None
     with pytest.raises(ConfigError, match="belong together"):

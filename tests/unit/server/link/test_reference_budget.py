@@ -77,7 +77,11 @@ def test_none_goes_that_those_that_wait_would_make_late() -> None:
 
 def played(link_bps: float, most: float) -> list[ev.Outgoing]:
     """Five frames of one group at a constant estimate."""
-    rig = Rig(replace(SETTINGS, reference_most=most, reference_kbps=400), initial_bps=link_bps, gof=12)
+    rig = Rig(
+        replace(SETTINGS, reference_share=min(most, 0.2), reference_most=most, reference_kbps=400),
+        initial_bps=link_bps,
+        gof=12,
+    )
     rig.play()
     out: list[ev.Outgoing] = []
     for _ in range(5):

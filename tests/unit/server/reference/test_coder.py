@@ -179,7 +179,7 @@ def test_a_picture_that_would_block_a_thin_link_is_coded_again() -> None:
 @pytest.mark.parametrize("bps", [300_000, 1_000_000, 4_000_000])
 def test_whole_pictures_keep_to_their_share_of_the_link(bps: int) -> None:
     """Remote rendering."""
-    one = coder(ServerSettings(reference_full_size=True, reference_share=0.8, references="picture"))
+    one = coder(ServerSettings(reference_full_size=True, reference_share=0.8, reference_most=1.0, references="picture"))
     noise = np.random.default_rng(0).random((one.height_px + 60, one.width_px, 3)).astype(np.float32)
     units = []
     for number in range(60):
@@ -189,7 +189,7 @@ def test_whole_pictures_keep_to_their_share_of_the_link(bps: int) -> None:
 
 
 def test_a_changed_link_begins_a_new_video_of_whole_pictures() -> None:
-    one = coder(ServerSettings(reference_full_size=True, reference_share=0.5, references="picture"))
+    one = coder(ServerSettings(reference_full_size=True, reference_share=0.5, reference_most=1.0, references="picture"))
     decoder, begun = H264Decoder(), []
     for picture, link_bps in zip(moving(6, (240, 320)), (2e6, 2e6, 2.2e6, 8e6, 8e6, 1e6), strict=True):
         one.follow(link_bps, PERIOD_US)
