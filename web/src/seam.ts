@@ -92,8 +92,10 @@ export interface ConnectOptions {
   /** Of the display; references are made for its field of view. */
   readonly intrinsics: Intrinsics;
   readonly pose: Pose;
-  /** Media frame to begin at. */
+  /** Media frame to begin at, of a server's scene. */
   readonly startFrame?: number;
+  /** Seconds to begin at, of a published scene: only the source learns how many frames a second it has. */
+  readonly startSeconds?: number;
   readonly token?: string;
   readonly references?: ReferencesWanted;
   /** The finest colour sampling that the page's video decoder takes. */

@@ -11,6 +11,7 @@ import {
 } from "../seam.ts";
 import { viewCone } from "../store/gofBuffer.ts";
 import { arrivalOf } from "../store/tileStore.ts";
+import { frameAt } from "../wire/timeline.ts";
 import { type FrameEntry, readIndex, type TileEntry } from "./bundleIndex.ts";
 import { baseWishes, batch, type Range, ranges, refinements, type Wish } from "./plan.ts";
 import { type Decoders, SceneStore, tooLarge } from "./scene.ts";
@@ -78,7 +79,6 @@ export class StaticSource implements SceneSource {
     this.options = options;
     this.listen = listen;
     this.pose = options.pose;
-    this.at = options.startFrame ?? 0;
     this.timer = setInterval(() => this.tick(), STATUS_EVERY_MS);
     void this.begin();
   }
@@ -136,7 +136,9 @@ export class StaticSource implements SceneSource {
   /** Everything up to the first frame's base is fetched while the decoders are on their way. */
   private async begin(): Promise<void> {
     try {
-      const manifest = readManifest(await this.whole("manifest.json"));
+      // its name stays when a folder is published again: a cache may hold the one before
+      const manifest = readManifest(await this.whole("manifest.json", "no-cache"));
+      this.at = frameAt(this.options.startSeconds ?? 0, manifest);
       const large = tooLarge(manifest, this.options.maxSplats ?? 4_000_000, this.options.maxMemoryMb ?? 2048);
       if (large) throw new BundleError(large);
       if (!manifest.files.length) throw new BundleError("manifest: does not say where tiles lie");
@@ -226,8 +228,7 @@ export class StaticSource implements SceneSource {
     const generation = this.generation;
     this.groups.set(gof, null);
     const { name, indexOffset, indexCrc, sizeBytes } = manifest.files[gof]!;
-    const data = await this.bytes(name, indexOffset, sizeBytes);
-    if (crc32(data) !== indexCrc) throw new BundleError(`${name}: its index was damaged or replaced; reload the page`);
+    const data = await this.checked(name, indexOffset, sizeBytes, (index) => crc32(index) === indexCrc);
     const [first, end] = gofRange(manifest, gof);
     const frames = readIndex(data, first, end - first, manifest.lods, `index of ${name}`);
     if (generation === this.generation) this.groups.set(gof, { frames, levels: new Map(), asked: first, told: first, ready: new Map() });
@@ -259,37 +260,24 @@ export class StaticSource implements SceneSource {
 
   private async fetchTiles(gof: number, range: Range, removed?: Map<FrameEntry, Uint8Array>): Promise<void> {
     const generation = this.generation;
-    const data = await this.bytes(this.manifest!.files[gof]!.name, range.start, range.end);
+    const data = await this.checked(this.manifest!.files[gof]!.name, range.start, range.end, (part) => isIntact(part, range));
     const scene = await this.opened;
-    for (const frame of range.removed) {
-      const ids = data.subarray(frame.removed[0] - range.start, frame.removed[1] - range.start);
-      if (crc32(ids) !== frame.removedCrc) throw new BundleError(`frame ${frame.frame}: its removed ids were damaged`);
-      removed?.set(frame, ids);
-    }
+    for (const frame of range.removed) removed?.set(frame, removedIn(data, range, frame));
     for (const wish of range.wishes) {
       if (generation !== this.generation || !scene || this.ended) return;
-      this.store(scene, wish, data, range.start);
+      this.store(scene, wish, payloadsIn(data, range, wish));
       await breath(); // frames that are asked for meanwhile go first
     }
   }
 
-  private store(scene: SceneStore, { entry, from, to }: Wish, data: Uint8Array, start: number): void {
-    const payloads: Uint8Array[] = [];
-    for (let level = from; level < to; level++) {
-      const payload = data.subarray(entry.offsets[level]! - start, entry.offsets[level + 1]! - start);
-      if (crc32(payload) !== entry.crcs[level]) {
-        this.meter.decodeErrors += 1;
-        return;
-      }
-      payloads.push(payload);
-    }
+  private store(scene: SceneStore, { entry, from }: Wish, payloads: readonly Uint8Array[]): void {
     this.meter.bytesTiles += payloads.reduce((sum, payload) => sum + payload.length, 0);
     this.meter.decodeErrors += scene.add([arrivalOf(entry.frame, entry.tile, from, payloads)]).length;
   }
 
-  private async whole(name: string): Promise<Uint8Array> {
+  private async whole(name: string, cache: RequestCache = "default"): Promise<Uint8Array> {
     return this.retried(name, async () => {
-      const response = await this.fetchAt(this.base + name);
+      const response = await this.fetchAt(this.base + name, { cache });
       if (!response.ok) throw new HttpError(name, response.status);
       const data = new Uint8Array(await response.arrayBuffer());
       this.meter.bytesOther += data.length;
@@ -297,10 +285,20 @@ export class StaticSource implements SceneSource {
     });
   }
 
-  private async bytes(name: string, start: number, end: number): Promise<Uint8Array> {
+  /** Part of a file, fetched again past all caches where it is not intact. Raises where that does not help. */
+  private async checked(name: string, start: number, end: number, intact: (part: Uint8Array) => boolean): Promise<Uint8Array> {
+    for (const cache of ["default", "reload"] as const) {
+      const part = await this.bytes(name, start, end, cache);
+      if (intact(part)) return part;
+      this.meter.decodeErrors += 1;
+    }
+    throw new BundleError(`${name} was damaged or replaced; reload the page`);
+  }
+
+  private async bytes(name: string, start: number, end: number, cache: RequestCache): Promise<Uint8Array> {
     return this.retried(name, async () => {
       const begun = nowUs();
-      const response = await this.fetchAt(this.base + name, { headers: { Range: `bytes=${start}-${end - 1}` } });
+      const response = await this.fetchAt(this.base + name, { cache, headers: { Range: `bytes=${start}-${end - 1}` } });
       if (!response.ok) throw new HttpError(name, response.status);
       const body = new Uint8Array(await response.arrayBuffer());
       const now = nowUs();
@@ -344,6 +342,22 @@ export class StaticSource implements SceneSource {
     this.listen({ type: "status", status });
     this.next();
   }
+}
+
+function removedIn(data: Uint8Array, { start }: Range, { removed: [from, to] }: FrameEntry): Uint8Array {
+  return data.subarray(from - start, to - start);
+}
+
+/** The levels of a wish. */
+function payloadsIn(data: Uint8Array, { start }: Range, { entry, from, to }: Wish): Uint8Array[] {
+  const payloads: Uint8Array[] = [];
+  for (let level = from; level < to; level++) payloads.push(data.subarray(entry.offsets[level]! - start, entry.offsets[level + 1]! - start));
+  return payloads;
+}
+
+function isIntact(data: Uint8Array, range: Range): boolean {
+  const removed = range.removed.every((frame) => crc32(removedIn(data, range, frame)) === frame.removedCrc);
+  return removed && range.wishes.every((wish) => payloadsIn(data, range, wish).every((payload, i) => crc32(payload) === wish.entry.crcs[wish.from + i]));
 }
 
 /** A host's refusal; `lasting` where asking again would meet it again. */

@@ -11,6 +11,14 @@ interface Place {
 
 const START: Place = { frame: 0, atUs: 0, rate: 1, playing: false, loop: false };
 
+/** Of a frame: links round times to 0.1 ms, which must not lead to the frame before. */
+const ROUNDED = 0.01;
+
+/** The media frame that a clip shows after `seconds`; beyond its end the last one. */
+export function frameAt(seconds: number, { fps, frames }: { readonly fps: number; readonly frames: number }): number {
+  return Math.max(0, Math.min(Math.floor(seconds * fps + ROUNDED), frames - 1));
+}
+
 /** Frame `frame` is displayed at `atUs`, the others at the frame rate times `rate`. They are counted from there by ticks,
  * which go on through every loop; while it is not playing, every tick displays `frame`. */
 export class Timeline {

@@ -183,3 +183,62 @@ test("a host that is away for a while is asked again; one without the scene is t
   opened().connect(`${url}nothing/`, OPTIONS, (event) => missing.push(event));
   await until("an error", () => missing.some((event) => event.type === "error" && event.error.fatal));
 });
+
+/** A host whose answers that are part of a file come damaged while `damages`; and with which cache mode each was asked. */
+function damaging(damages: (range: string, asked: number) => boolean): { fetchAt: Fetch; asked: string[] } {
+  const asked: string[] = [];
+  const fetchAt: Fetch = async (at, init) => {
+    const range = new Headers(init?.headers).get("range") ?? "";
+    asked.push(`${init?.cache ?? "default"} ${range || at.slice(url.length)}`);
+    const answer = await fetch(at, init);
+    if (!range || !damages(range, asked.length)) return answer;
+    const body = new Uint8Array(await answer.arrayBuffer());
+    return new Response(body.map((byte) => byte ^ 1), { status: answer.status });
+  };
+  return { fetchAt, asked };
+}
+
+test("what comes damaged is fetched once more, past the caches", { timeout: 60_000 }, async () => {
+  const events: Events = [];
+  const seen = new Set<string>();
+  const { fetchAt, asked } = damaging((range) => !seen.has(range) && Boolean(seen.add(range)));
+  const source = opened(fetchAt);
+  source.connect(url, OPTIONS, (event) => events.push(event));
+  await until("frame 0", () => whole(events, 0));
+  source.control({ action: "pause", frame: 0, atUs: 0 });
+  assert.deepEqual(await complete(source, 0), expected[0]);
+  const again = asked.filter((request) => request.startsWith("reload "));
+  assert.ok(again.length > 2 && new Set(again).size === again.length, "once each");
+  assert.ok(again.every((request) => seen.has(request.slice("reload ".length))));
+  assert.ok(!events.some((event) => event.type === "error"));
+});
+
+test("what stays damaged ends the play, and the file is named", { timeout: 60_000 }, async () => {
+  for (const [first, what] of [[0, "the index"], [1, "a tile"]] as const) {
+    const events: Events = [];
+    const ranges = new Set<string>();
+    opened(damaging((range) => ranges.add(range).size > first).fetchAt).connect(url, OPTIONS, (event) => events.push(event));
+    await until(`the error of ${what}`, () => events.some((event) => event.type === "error"));
+    const errors = events.flatMap((event) => (event.type === "error" ? [event.error] : []));
+    assert.equal(errors[0]!.fatal, true);
+    assert.match(errors[0]!.message, /^gof-[\w-]+\.bin was damaged or replaced; reload the page$/);
+    assert.ok(!whole(events, 0), "no frame is told whole without its tiles");
+  }
+});
+
+test("the manifest is asked for anew, so that a folder that was published again is seen", { timeout: 60_000 }, async () => {
+  const { fetchAt, asked } = damaging(() => false);
+  const events: Events = [];
+  opened(fetchAt).connect(url, OPTIONS, (event) => events.push(event));
+  await until("frame 0", () => whole(events, 0));
+  const cached = asked.filter((request) => !request.includes("manifest.json"));
+  assert.deepEqual([asked.length - cached.length, asked.includes("no-cache manifest.json")], [1, true]);
+  assert.ok(cached.every((request) => request.startsWith("default ")));
+});
+
+test("a play begins at a moment of the clip, and beyond its end at the last frame", { timeout: 60_000 }, async () => {
+  const events: Events = [];
+  opened().connect(url, { ...OPTIONS, startSeconds: 1e9 }, (event) => events.push(event));
+  await until("the last frame", () => whole(events, expected.length - 1));
+  assert.ok(!events.some((event) => event.type === "error"));
+});

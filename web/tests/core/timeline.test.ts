@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { Timeline } from "../../src/wire/timeline.ts";
+import { frameAt, Timeline } from "../../src/wire/timeline.ts";
 import { vectors } from "./vectors.ts";
 
 interface Vector {
@@ -28,4 +28,14 @@ test("a control makes a new timeline; rounds end with the last frame", () => {
   const sought = timeline.controlled({ action: "seek", frame: 99, atUs: 7 });
   assert.deepEqual(sought.place, { frame: 9, atUs: 7, rate: 1, playing: true, loop: false });
   assert.equal(sought.controlled({ action: "pause", frame: 3, atUs: 8 }).mediaFrame(5), 3);
+});
+
+test("moments of links lead to the frames that they were copied from, and to none beyond the end", () => {
+  for (const fps of [5, 10, 24, 29.97, 30, 60, 90]) {
+    for (let frame = 0; frame < 400; frame++) {
+      assert.equal(frameAt(Number((frame / fps).toFixed(4)), { fps, frames: 400 }), frame, `${frame} at ${fps}`);
+    }
+  }
+  const clip = { fps: 10, frames: 20 };
+  assert.deepEqual([1.5, 1.59, 2, 100, 1e300, -1].map((seconds) => frameAt(seconds, clip)), [15, 15, 19, 19, 19, 0]);
 });
