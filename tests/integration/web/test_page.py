@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +15,8 @@ ROOM = "procedural:size=800,frames=20,seed=1,fps=5,degree=1"
 MOVING = "fourd:splats=700,births=60,frames=12,fps=5,degree=1,seed=2"
 SMALL = ("--reference-width", "64", "--reference-height", "48", "--visible-px", "0")
 """Whatever contributes to the picture is sent: what is compared holds everything."""
+
+BEHIND = "window.behind = true; Object.defineProperty(document, 'hidden', { get: () => window.behind })"
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +66,23 @@ def test_a_moving_scene_is_pythons(tmp_path: Path) -> None:
             viewer.until(f"player.shown.frame === {frame} && {STILL}")
             same_as_python(viewer, bundle)
         assert viewer.complaints() == []
+
+
+@pytest.mark.slow
+def test_a_tab_opened_behind_another_one_joins_once_it_is_seen(viewer: Page, server: Server) -> None:
+    def watching() -> int:
+        with urllib.request.urlopen(f"{server.url}status.json", timeout=20) as answer:
+            return len(json.load(answer)["sessions"])
+
+    viewer.browser.get("about:blank")
+    viewer.until_true(lambda: not watching(), "viewers of earlier tests leave")
+    viewer.browser.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": BEHIND})
+    viewer.open(server.url)
+    viewer.until("window.cags?.show.renderer")  # the device is there
+    assert viewer.ask("player === null") and not watching()
+    viewer.browser.execute_script("window.behind = false; document.dispatchEvent(new Event('visibilitychange'))")
+    viewer.until("player?.shown")
+    assert watching() == 1
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import pytest
 from cags_bench.web import hosts
 from cags_common.errors import ConfigError
 from cags_encoder.bundles.publish import built_page, publish
-from support.web_page import WHOLE, Page, encoded, page, require_page, same_as_python
+from support.web_page import SIZE, WHOLE, Page, encoded, page, require_page, same_as_python
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
@@ -63,6 +63,17 @@ def test_its_pictures_are_pythons_byte_for_byte_after_seeks_too(viewer: Page, ho
     viewer.until(f"player.shown.frame === 13 && {WHOLE}")
     same_as_python(viewer, room)
     assert viewer.ask("player.status.bytesReference") == 0
+
+
+def test_a_play_can_be_begun_again_while_a_picture_is_being_drawn(viewer: Page, host: int) -> None:
+    viewer.open(f"http://localhost:{host}/")
+    viewer.until("player?.shown")
+    for time in range(3):
+        viewer.until("player.drawing")
+        viewer.do(f"window.before = player; location.hash = 'size={SIZE[0]}x{SIZE[1]}&t={time}'")
+        viewer.until("player !== window.before && player?.shown", 60)
+    viewer.until(WHOLE)
+    assert viewer.words.splitlines()[0] != "The play has ended"
 
 
 def test_shaders_of_references_are_not_compiled_and_all_others_beforehand(viewer: Page, host: int) -> None:

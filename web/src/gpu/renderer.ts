@@ -103,7 +103,7 @@ export class Renderer {
 
   /** Upload what a media frame changed. Throws {@link TooLargeError}. */
   update(update: FrameUpdate): void {
-    if (!this.#scene || update.scene !== this.#sceneNumber) {
+    if (!this.#scene || update.fresh || update.scene !== this.#sceneNumber) {
       this.#scene?.destroy();
       this.#scene = this.#shown = null;
       if (update.capacity) this.#scene = new ResidentScene(this.#workspace, update);

@@ -39,3 +39,16 @@ export function keep(name: string, value: string): void {
     // as above
   }
 }
+
+/** Settles once the page is on the screen: it may have been opened in a tab behind another one. */
+export function seen(): Promise<void> {
+  return new Promise((resolve) => {
+    const look = (): void => {
+      if (document.hidden) return;
+      document.removeEventListener("visibilitychange", look);
+      resolve();
+    };
+    document.addEventListener("visibilitychange", look);
+    look();
+  });
+}

@@ -8,15 +8,16 @@ import { Player, type Viewpoint } from "../player/player.ts";
 import type { Chroma, Intrinsics, SceneInfo, SceneSource, SourceError } from "../seam.ts";
 import { connectWorker } from "../source/remote.ts";
 import { finestChroma } from "../video/decoder.ts";
+import { frameAt } from "../wire/timeline.ts";
 import { Immersive, watchHeadset } from "../xr/immersive.ts";
 import { coloursOf, openedAs, titleOf } from "./author.ts";
-import { onChange, the } from "./dom.ts";
+import { onChange, seen, the } from "./dom.ts";
 import * as embed from "./embed.ts";
 import { drawnFigures, type Figure } from "./inspector.ts";
 import { type Verdict, verdictOf } from "./light.ts";
 import { beside, sceneOf } from "./place.ts";
 import { type Host, NOWHERE, SERVER_AWAY, type Show } from "./show.ts";
-import { anglesOf, intrinsicsOf, MOST_PIXELS, pixelsOf } from "./view.ts";
+import { anglesOf, intrinsicsOf, MOST_PIXELS, pixelsOf, usableSize } from "./view.ts";
 
 /** The server is asked again after a while when it was not there at all. */
 const RETRY_MS = 2000;
@@ -26,8 +27,8 @@ const SETTLED_MS = 700;
 const OTHER_SHAPE = 1.3;
 /** {@link Show.trouble} while a headset shows the scene. */
 const IN_HEADSET = ["In virtual reality", "The scene is in the headset; this page shows it again when you leave."] as const;
-/** Of a published scene that has yet to say how fast it is. */
-const DEFAULT_FPS = 30;
+/** Of a window that was never larger than a sliver. */
+const NO_WINDOW = [640, 400] as const;
 
 /** Where the scene lies that this page was published with; undefined: it comes from the page's own server. */
 const PUBLISHED = document.querySelector<HTMLMetaElement>('meta[name="cags-source"]')?.content;
@@ -45,6 +46,8 @@ export class DrawnShow implements Show {
   #attempts = 0;
   #retry = 0;
   #settled = 0;
+  #left: Promise<unknown> = Promise.resolve(); // once no earlier play draws any more
+  #window: readonly [number, number] = NO_WINDOW;
   #chroma: Chroma | undefined;
   #background: readonly [number, number, number] = [0, 0, 0];
 
@@ -70,6 +73,8 @@ export class DrawnShow implements Show {
       if (attempt !== this.#attempts || (!PUBLISHED && !scene)) return;
       this.#chroma = chroma;
       await Promise.race([rendering, undefined]); // throws where it is known that nothing can be drawn
+      if (!this.immersed) await seen(); // a page in the background asks for nothing
+      if (attempt !== this.#attempts) return;
       this.#host.angles = anglesOf(...this.#pixels());
       if (scene) this.#stand(scene);
       this.#join(scene, rendering);
@@ -140,11 +145,16 @@ export class DrawnShow implements Show {
   }
 
   #pixels(): [number, number] {
-    return pixelsOf(innerWidth, innerHeight, devicePixelRatio, this.#host.place.size);
+    return pixelsOf(...this.#inner(), devicePixelRatio, this.#host.place.size);
+  }
+
+  /** Width and height of the window: a frame that is folded away keeps those that it had. */
+  #inner(): readonly [number, number] {
+    return (this.#window = usableSize(innerWidth, innerHeight) ?? this.#window);
   }
 
   #leave(): void {
-    this.player?.close();
+    if (this.player) this.#left = Promise.all([this.#left, this.player.close()]);
     this.player = null;
   }
 
@@ -186,8 +196,9 @@ export class DrawnShow implements Show {
     const { place, messages } = this.#host;
     const source = this.#source!;
     this.#source = undefined;
-    const startFrame = Math.floor((place.seconds ?? 0) * (scene?.fps ?? DEFAULT_FPS) + 1e-6);
-    const player = new Player(source, rendering, () => this.#viewpoint, this.#options(startFrame), {
+    const startSeconds = place.seconds ?? 0;
+    const free = this.#left.then(() => rendering); // it draws for one play at a time
+    const player = new Player(source, free, () => this.#viewpoint, this.#options(startSeconds), {
       changed: () => undefined,
       drew: (eye, of, camera, picture) => {
         this.immersive?.keep(eye, of, camera, picture);
@@ -201,12 +212,13 @@ export class DrawnShow implements Show {
       notice: (message) => messages.toast(message),
     });
     this.player = player;
+    the<HTMLInputElement>("loop").checked = player.loop;
     source.connect(
       PUBLISHED ? new URL(PUBLISHED, location.href).href : beside("stream").href.replace(/^http/, "ws"),
       {
         pose: this.#viewpoint.pose,
         intrinsics: this.#viewpoint.intrinsics,
-        startFrame,
+        ...(scene ? { startFrame: frameAt(startSeconds, scene) } : { startSeconds }),
         reconnectS: Infinity,
         references: this.#chroma ? "any" : "none",
         ...(this.#chroma ? { chroma: this.#chroma } : {}),
@@ -223,12 +235,13 @@ export class DrawnShow implements Show {
     this.#host.stand(scene);
   }
 
-  #options(startFrame: number): ConstructorParameters<typeof Player>[3] {
+  #options(startSeconds: number): ConstructorParameters<typeof Player>[3] {
     const { place } = this.#host;
     return {
-      startFrame,
+      startSeconds,
       playing: place.playing ?? true,
       loop: place.loop ?? the<HTMLInputElement>("loop").checked,
+      rate: Number(the<HTMLSelectElement>("rate").value),
       adaptResolution: the<HTMLInputElement>("adapt").checked && !place.size,
       exactness: the<HTMLSelectElement>("exactness").value as Exactness,
       correct: the<HTMLInputElement>("correct").checked,
@@ -265,7 +278,7 @@ export class DrawnShow implements Show {
   #resized(): void {
     clearTimeout(this.#settled);
     this.#settled = window.setTimeout(() => {
-      const wanted = anglesOf(innerWidth, innerHeight);
+      const wanted = anglesOf(...this.#inner());
       const { angles, place } = this.#host;
       const other = (wanted.tanX * angles.tanY) / (wanted.tanY * angles.tanX);
       if (!this.player || place.size || this.immersed || Math.max(other, 1 / other) < OTHER_SHAPE) return;

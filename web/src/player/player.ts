@@ -11,7 +11,7 @@ import type { CodedReference, FrameOptions, FrameTimes, Renderer } from "../gpu/
 import { References } from "../playback/references.ts";
 import { type Camera, type FrameUpdate, type Intrinsics, nowUs, type PlayState, type Pose, type PoseSample, type Reference, type SceneInfo, type SceneSource, type SourceError, type SourceEvent, type Status } from "../seam.ts";
 import { ReferenceVideo } from "../video/stream.ts";
-import { Timeline } from "../wire/timeline.ts";
+import { frameAt, Timeline } from "../wire/timeline.ts";
 import { newestDue, nextDue, Quality } from "./quality.ts";
 import { Startup, STARTUP_US } from "./startup.ts";
 import { cellBoxes } from "./veto.ts";
@@ -51,9 +51,12 @@ export interface Viewpoint extends Viewed {
 }
 
 export interface PlayerOptions {
-  readonly startFrame: number;
+  /** Of the clip, where the play begins; beyond its end at the last frame. */
+  readonly startSeconds: number;
   readonly playing: boolean;
   readonly loop: boolean;
+  /** Speed: 1 as the clip was made. */
+  readonly rate: number;
   /** Draw fewer pixels while the device is too slow. */
   readonly adaptResolution: boolean;
   readonly exactness: Exactness;
@@ -103,9 +106,9 @@ export class Player {
   shown: Shown | null = null;
   playing: boolean;
   loop: boolean;
-  rate = 1;
+  rate: number;
   /** The media frame on display, or that the play goes to. */
-  frame: number;
+  frame = 0;
   correct: boolean;
   exactness: Exactness;
   adaptResolution: boolean;
@@ -123,7 +126,8 @@ export class Player {
   readonly #video: ReferenceVideo;
   readonly #references: Decoded = new References<CodedReference | null>();
   readonly #quality = new Quality(WHOLE, REFRESH_US);
-  readonly #startFrame: number;
+  readonly #startSeconds: number;
+  #startFrame = 0; // known with the scene
   #startup: Startup;
   #holdUs = STARTUP_US; // of the first frame, at most
   #samples: PoseSample[] = [];
@@ -136,6 +140,7 @@ export class Player {
   #awaited: Awaited | null = null;
   readonly #whole = new Set<number>(); // media frames that are there, since everything was forgotten
   #busy = false;
+  #work: Promise<void> = Promise.resolve(); // the newest frame's
   #news = false;
   #steppedUs = -Infinity; // the newest refresh of the screen
   #begunUs = -Infinity; // the newest picture
@@ -154,10 +159,11 @@ export class Player {
     this.#events = events;
     this.playing = options.playing;
     this.loop = options.loop;
+    this.rate = options.rate;
     this.correct = options.correct;
     this.exactness = options.exactness;
     this.adaptResolution = options.adaptResolution;
-    this.frame = this.#startFrame = options.startFrame;
+    this.#startSeconds = options.startSeconds;
     this.#video = new ReferenceVideo({
       decoded: (reference, coded) => {
         const { camera, knee, kind, error } = reference;
@@ -190,9 +196,9 @@ export class Player {
     if (this.#startedUs !== null) this.#tell("pause", this.frame, nowUs());
   }
 
-  /** Go to a media frame as soon as what is under way has ended. */
+  /** Go to a media frame as soon as what is under way has ended, and the play has begun. */
   seek(frame: number): void {
-    if (this.#startedUs === null || !this.info) return;
+    if (!this.info) return;
     this.#wanted = Math.max(0, Math.min(Math.round(frame), this.info.frames - 1));
     this.#events.changed();
   }
@@ -221,7 +227,14 @@ export class Player {
     this.#source.reshape(intrinsics);
   }
 
-  close(): void {
+  /** Leave; settles once nothing of this play is drawn any more. */
+  async close(): Promise<void> {
+    this.#end();
+    await this.#work;
+  }
+
+  #end(): void {
+    if (this.#ended) return;
     this.#ended = true;
     this.#source.close();
   }
@@ -263,6 +276,7 @@ export class Player {
     switch (event.type) {
       case "info":
         this.info = event.info;
+        this.frame = this.#startFrame = frameAt(this.#startSeconds, event.info);
         this.#timeline = new Timeline(event.info.fps, event.info.frames, { frame: this.#startFrame });
         this.#quality.periodUs = 1e6 / event.info.fps;
         if (event.info.waits) this.#startup = new Startup((this.#holdUs = 0), nowUs()); // nobody would refine it
@@ -303,7 +317,7 @@ export class Player {
         this.#news = true;
         break;
       case "error":
-        if (event.error.fatal) this.#ended = true;
+        if (event.error.fatal) this.#end();
         this.#events.failed(event.error);
         break;
     }
@@ -317,17 +331,17 @@ export class Player {
     this.#samplePose();
     if (this.#busy || this.#rested || !this.#ready) return;
     this.#quality.wish(this.adaptResolution ? SCALES : WHOLE, this.info.moves ? "auto" : "off");
-    const work = this.#work(now);
-    if (!work) return;
+    const next = this.#next(now);
+    if (!next) return;
     this.#busy = true;
-    work()
+    this.#work = next()
       .catch((error: unknown) => this.#failed(error))
       .finally(() => (this.#busy = false));
   }
 
   #failed(error: unknown): void {
     if (this.#ended || this.#renderer?.gpu.lost) return;
-    this.#ended = true;
+    this.#end();
     const message = error instanceof Error ? error.message : String(error);
     this.#events.failed({ code: "frame", message, fatal: true });
   }
@@ -344,9 +358,9 @@ export class Player {
     this.#samples = [];
   }
 
-  #work(now: number): (() => Promise<void>) | null {
+  #next(now: number): (() => Promise<void>) | null {
     this.#startIfDue(now);
-    if (this.#wanted !== null) this.#seekNow(this.#wanted, now);
+    if (this.#wanted !== null && this.#startedUs !== null) this.#seekNow(this.#wanted, now);
     if (this.#awaited && now >= this.#awaited.untilUs) this.#goOn(now);
     if (this.#startedUs === null || (this.#awaited && !this.shown)) return this.#preview(now) ?? this.#redraw(now);
     if (this.#awaited) return this.#redraw(now);
@@ -414,6 +428,7 @@ export class Player {
       ...(basis === undefined ? {} : { basis }),
       ...(speaks ? { changedSince: changedSince(speaks.reference, camera) } : {}),
     });
+    if (this.#ended) return; // the renderer may be another play's by now
     this.#references.marked(update.mark);
     this.#renderer.update(update);
     if (!update.fresh) this.#spent.push(...update.patches.map(({ words }) => words.buffer)); // of all rows they are larger than any
@@ -431,6 +446,7 @@ export class Player {
       const camera = this.#cameraOf(eye);
       const options = this.#frameOptions({ frame, share, update, camera, display: view.intrinsics }, found?.picture ? found : undefined);
       const times = await this.#renderer.draw(camera, options, view.eyes !== undefined);
+      if (this.#ended) return;
       if (view.eyes) this.#events.drew?.(i, eyes.length, camera, this.#renderer.taken());
       drawn.push({ camera, options, times });
     }
@@ -484,7 +500,8 @@ export class Player {
   /** When the first frame was held for long enough, or is to be held on: fix when it is shown, and tell the source. */
   #startIfDue(now: number): void {
     const { endsUs } = this.#startup;
-    if (this.#startedUs !== null || endsUs === undefined || (this.playing && now < endsUs)) return;
+    const refines = this.playing && this.#wanted === null; // whoever goes elsewhere waits for no detail here
+    if (this.#startedUs !== null || endsUs === undefined || (refines && now < endsUs)) return;
     this.#startedUs = now;
     if (this.#startup.greeting) this.#references.reset(this.#startup.greeting);
     if (this.playing && !this.#rested) this.#tell("play", this.#startFrame, now + START_DELAY_US);

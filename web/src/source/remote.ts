@@ -27,6 +27,7 @@ export interface Port {
 }
 
 const CLOSING_MS = 500;
+const LEFT = "the viewer has left";
 
 /** The {@link SceneSource} that runs in `worker`. */
 export function connectWorker(worker: Worker): SceneSource {
@@ -40,6 +41,7 @@ export class RemoteSource implements SceneSource {
   private info: SceneInfo | undefined;
   private keptGof: number | undefined;
   private failure: string | undefined;
+  private closed = false;
   private listen: (event: SourceEvent) => void = () => {};
 
   constructor(port: Port) {
@@ -79,6 +81,7 @@ export class RemoteSource implements SceneSource {
   }
 
   frame(request: FrameRequest): Promise<FrameUpdate> {
+    if (this.closed) return Promise.reject(new Error(LEFT));
     const number = ++this.asked;
     return new Promise((resolve, reject) => {
       this.waiting.set(number, { resolve, reject });
@@ -87,6 +90,9 @@ export class RemoteSource implements SceneSource {
   }
 
   close(): void {
+    if (this.closed) return;
+    this.closed = true;
+    this.refuse(LEFT); // the worker may be gone before it answers
     this.port.postMessage({ ask: "close" });
     setTimeout(() => this.port.terminate(), CLOSING_MS);
   }
@@ -105,8 +111,12 @@ export class RemoteSource implements SceneSource {
 
   private broken(message: string): void {
     this.failure = message;
+    this.refuse(message);
+    this.listen({ type: "error", error: { code: "worker", message, fatal: true } });
+  }
+
+  private refuse(message: string): void {
     for (const { reject } of this.waiting.values()) reject(new Error(message));
     this.waiting.clear();
-    this.listen({ type: "error", error: { code: "worker", message, fatal: true } });
   }
 }

@@ -2,8 +2,8 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { setTimeout as sleep } from "node:timers/promises";
 import type { Renderer } from "../../src/gpu/renderer.ts";
-import { Player } from "../../src/player/player.ts";
-import { type FrameRequest, type FrameUpdate, type Intrinsics, nowUs, type PlayState, type Pose, type Reference, type SceneInfo, type SceneSource } from "../../src/seam.ts";
+import { Player, type PlayerOptions } from "../../src/player/player.ts";
+import { type FrameRequest, type FrameUpdate, type Intrinsics, nowUs, type PlayState, type Pose, type Reference, type SceneInfo, type SceneSource, type SourceError } from "../../src/seam.ts";
 
 const FPS = 100;
 const FRAMES = 60;
@@ -17,6 +17,7 @@ const INFO = {
 class Source implements SceneSource {
   readonly told: PlayState[] = [];
   readonly asked: FrameRequest[] = [];
+  closed = 0;
   connect(): void {}
   control(state: PlayState): void {
     this.told.push(state);
@@ -32,7 +33,9 @@ class Source implements SceneSource {
     const { frame } = request;
     return Promise.resolve({ frame, share: 0, patches: [], full: true, missed: false, mark: 0, shDegree: 0 } as unknown as FrameUpdate);
   }
-  close(): void {}
+  close(): void {
+    this.closed += 1;
+  }
 }
 
 /** A page whose pictures take `drawMs`, nothing at first; it says what came, and steps as a screen does. */
@@ -40,15 +43,19 @@ class Page {
   readonly source = new Source();
   readonly player: Player;
   readonly seen: number[] = [];
+  readonly errors: SourceError[] = [];
   drawMs = 0;
-  constructor(waits: boolean, prepared: Promise<unknown> = Promise.resolve(), made: Promise<void> = Promise.resolve()) {
+  uploads = 0;
+  broken = false;
+  constructor(waits: boolean, prepared: Promise<unknown> = Promise.resolve(), made: Promise<void> = Promise.resolve(), chosen: Partial<PlayerOptions> = {}) {
     const draw = async (): Promise<object> => {
       if (this.drawMs) await sleep(this.drawMs);
+      if (this.broken) throw new Error("no memory");
       return { gpuMs: this.drawMs };
     };
-    const renderer = made.then(() => ({ prepared, gpu: { lost: false }, update: () => {}, draw }) as unknown as Renderer);
-    const options = { startFrame: 0, playing: true, loop: false, adaptResolution: true, exactness: "fast", correct: true } as const;
-    const events = { changed: () => {}, info: () => {}, failed: (error: unknown) => assert.fail(JSON.stringify(error)), notice: () => {} };
+    const renderer = made.then(() => ({ prepared, gpu: { lost: false }, update: () => void this.uploads++, draw }) as unknown as Renderer);
+    const options = { startSeconds: 0, playing: true, loop: false, rate: 1, adaptResolution: true, exactness: "fast", correct: true, ...chosen } as const;
+    const events = { changed: () => {}, info: () => {}, failed: (error: SourceError) => void this.errors.push(error), notice: () => {} };
     this.player = new Player(this.source, renderer, () => ({ pose: POSE, intrinsics: INTRINSICS }), options, events);
     this.player.handle({ type: "info", info: { ...INFO, waits } as unknown as SceneInfo });
   }
@@ -64,7 +71,7 @@ class Page {
   async until(what: string, found: () => boolean): Promise<void> {
     const ends = nowUs() + 10e6;
     while (!found()) {
-      assert.ok(nowUs() < ends, `${what} did not come`);
+      assert.ok(nowUs() < ends, `${what} did not come; ${JSON.stringify(this.errors)}`);
       this.player.step();
       if (this.player.shown) this.seen.push(this.player.shown.frame);
       await sleep(1);
@@ -271,4 +278,78 @@ test("patches that the device has go back to the source once, but for those of a
   const back = page.source.asked.flatMap(({ spent }) => spent ?? []);
   assert.deepEqual(back, blocks.slice(1, 1 + back.length));
   assert.ok(back.length >= page.source.asked.length - 3, "every one but the newest");
+});
+
+const SOON = [Promise.resolve(), Promise.resolve()] as const;
+
+test("a play begins at the moment that is asked for, by the scene's own frame rate, and beyond the end at the last frame", async () => {
+  for (const [startSeconds, first] of [[0.3, 30], [100, FRAMES - 1], [1e300, FRAMES - 1]] as const) {
+    const page = new Page(true, ...SOON, { startSeconds, playing: false });
+    assert.equal(page.player.frame, first);
+    page.whole(first);
+    await page.until("its picture", () => page.player.shown?.frame === first);
+    assert.ok(!page.player.waiting);
+    assert.deepEqual(page.source.told.map(({ action, frame }) => [action, frame]), [["pause", first]]);
+  }
+});
+
+test("who seeks before the play has begun gets there, without waiting for the detail of the first frame", async () => {
+  const page = new Page(false);
+  page.player.seek(40);
+  assert.equal(page.player.seconds, 0.4, "the slider stays where it was put");
+  page.whole(0);
+  const begun = nowUs();
+  await page.until("the jump", () => page.actions.includes("seek"));
+  assert.ok(nowUs() - begun < 200_000);
+  assert.equal(page.source.told.find(({ action }) => action === "seek")!.frame, 40);
+  page.whole(40);
+  await page.until("its picture", () => page.player.shown?.frame === 40);
+});
+
+test("a play begins at the speed that its options say", async () => {
+  const page = new Page(true, ...SOON, { rate: 0.25 });
+  page.whole(...upTo(20));
+  await page.until("the play", () => page.actions.includes("play"));
+  assert.deepEqual([page.player.rate, page.source.told.at(-1)!.rate], [0.25, 0.25]);
+});
+
+test("a play that has ended, whoever ended it, leaves the source", async () => {
+  const told = new Page(true);
+  told.player.handle({ type: "error", error: { code: "scene", message: "damaged", fatal: true } });
+  const drawn = new Page(true);
+  drawn.broken = true;
+  drawn.whole(...upTo(20));
+  await drawn.until("the error", () => drawn.errors.length > 0);
+  for (const { errors, player, source } of [told, drawn]) {
+    assert.equal(errors.length, 1);
+    void player.close();
+    assert.equal(source.closed, 1, "once");
+  }
+});
+
+test("a play that is left says when it draws no more, and uploads nothing afterwards", async () => {
+  const page = new Page(true);
+  page.drawMs = 50;
+  page.whole(...upTo(20));
+  await page.until("a picture under way", () => page.uploads > 0 && page.player.drawing);
+  const { pictures } = page.player;
+  const left = page.player.close();
+  assert.ok(page.player.drawing);
+  await left;
+  assert.deepEqual([page.player.drawing, page.player.pictures], [false, pictures]);
+
+  const late = new Page(true);
+  let answer = (): void => {};
+  const answered = late.source.frame.bind(late.source);
+  late.source.frame = async (request) => {
+    await new Promise<void>((resolve) => (answer = resolve));
+    return answered(request);
+  };
+  late.whole(...upTo(20));
+  await late.until("a question", () => late.player.drawing);
+  const gone = late.player.close();
+  answer();
+  await gone;
+  assert.equal(late.uploads, 0);
+  assert.deepEqual(late.errors, []);
 });

@@ -51,3 +51,14 @@ test("a worker that breaks ends what waits, and says why", async () => {
   await assert.rejects(waiting, /out of memory/);
   assert.deepEqual(events, [{ type: "error", error: { code: "worker", message: "out of memory", fatal: true } }]);
 });
+
+test("who leaves does not wait for an answer that may never come", async () => {
+  const port = new Silent();
+  const source = new RemoteSource(port);
+  const waiting = source.frame({ frame: 0 });
+  source.close();
+  source.close();
+  await assert.rejects(waiting, /has left/);
+  await assert.rejects(source.frame({ frame: 1 }), /has left/);
+  assert.deepEqual(port.asked.map(({ ask }) => ask), ["frame", "close"]);
+});
