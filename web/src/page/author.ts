@@ -37,6 +37,12 @@ export function savedView(scene: Opened, camera: ViewCamera, tanX: number, tanY:
   return `${JSON.stringify(view, null, 2)}\n`;
 }
 
+/** Headings that tell scenes apart: those with a title in common say their name as well. */
+export function headingsOf(scenes: readonly { readonly title: string; readonly name: string }[]): string[] {
+  const count = (title: string): number => scenes.filter((scene) => scene.title === title).length;
+  return scenes.map(({ title, name }) => (count(title) > 1 && title !== name ? `${title} (${name})` : title));
+}
+
 export function titleOf({ view, name }: { readonly view: AuthorView; readonly name: string }): string {
   return view.title ?? name;
 }

@@ -7,6 +7,8 @@ import type { Playing } from "./show.ts";
 
 /** Controls go after so long without a hand on them, while the clip plays. */
 const IDLE_MS = 3500;
+/** Keys that act again and again while they are held; the others would undo what they did. */
+const REPEATING = new Set(["Comma", "Period"]);
 
 export interface BarWishes {
   toggle(): void;
@@ -129,7 +131,7 @@ export class Bar {
     };
     MODES.forEach((mode, i) => (wishes[`Digit${i + 1}`] = () => this.#wishes.mode(mode)));
     const wish = wishes[event.code];
-    wish?.();
+    if (acts(event)) wish?.();
     return wish !== undefined;
   }
 
@@ -141,6 +143,11 @@ export class Bar {
     this.#touchedMs = performance.now();
     this.#stage.removeAttribute("data-idle");
   }
+}
+
+/** Whether a key that goes down, or is held, does something (again). */
+export function acts({ code, repeat }: Pick<KeyboardEvent, "code" | "repeat">): boolean {
+  return !repeat || REPEATING.has(code);
 }
 
 function fullScreen(): void {

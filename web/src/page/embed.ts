@@ -7,7 +7,7 @@
 
 import { MODES, type Mode } from "../player/camera.ts";
 import type { Pose } from "../seam.ts";
-import { poseOf } from "./place.ts";
+import { givenPose } from "./place.ts";
 
 export interface EmbedWishes {
   play(): void;
@@ -18,13 +18,14 @@ export interface EmbedWishes {
 }
 
 export function listen(wishes: EmbedWishes): void {
+  const place = (pose: Pose | undefined): void => pose && wishes.pose(pose);
   addEventListener("message", ({ data, source }) => {
     if (source !== parent || typeof data !== "object" || data === null) return;
     const { cags, seconds, pose, mode } = data as Record<string, unknown>;
     if (cags === "play") wishes.play();
     else if (cags === "pause") wishes.pause();
     else if (cags === "seek" && typeof seconds === "number" && Number.isFinite(seconds)) wishes.seek(seconds);
-    else if (cags === "pose" && isPose(pose)) wishes.pose(poseOf(pose));
+    else if (cags === "pose") place(givenPose(pose));
     else if (cags === "camera") MODES.filter((known) => known === mode).forEach((known) => wishes.mode(known));
   });
 }
@@ -32,8 +33,4 @@ export function listen(wishes: EmbedWishes): void {
 /** Tell the page around this one, where there is one. */
 export function tell(event: "ready" | "time" | "error", values: Readonly<Record<string, string | number | boolean>>): void {
   if (parent !== window) parent.postMessage({ cags: event, ...values }, "*");
-}
-
-function isPose(value: unknown): value is number[] {
-  return Array.isArray(value) && value.length === 7 && value.every((part) => typeof part === "number" && Number.isFinite(part)) && Math.hypot(...(value as number[]).slice(3)) > 1e-6;
 }

@@ -1,6 +1,7 @@
 /** The gallery: the scenes of a server that has several, and a place to drop another one. */
 
 import "./gallery.css";
+import { headingsOf } from "./author.ts";
 import { the } from "./dom.ts";
 import { placeOf } from "./place.ts";
 import { Uploads } from "./uploads.ts";
@@ -38,11 +39,12 @@ async function show(): Promise<void> {
   say("");
   const { scenes, upload_bytes } = (await answer.json()) as { scenes: Entry[]; upload_bytes: number };
   the("count").textContent = scenes.length === 1 ? "1 scene" : `${scenes.length} scenes`;
-  the("scenes").replaceChildren(...(scenes.length ? scenes.map(card) : [nothing(upload_bytes > 0)]));
+  const headings = headingsOf(scenes);
+  the("scenes").replaceChildren(...(scenes.length ? scenes.map((scene, i) => card(scene, headings[i]!)) : [nothing(upload_bytes > 0)]));
   uploads.offer(upload_bytes);
 }
 
-function card({ name, title, seconds, frames, bytes }: Entry): HTMLLIElement {
+function card({ name, seconds, frames, bytes }: Entry, title: string): HTMLLIElement {
   const [item, link, picture, heading, facts] = [make("li"), make("a"), make("img"), make("h2"), make("p")];
   const scene = new URLSearchParams({ scene: name });
   link.href = `?${scene}${token ? `#${new URLSearchParams({ token })}` : ""}`;

@@ -24,6 +24,7 @@ export function verdictOf(player: Player): Verdict {
   if (player.cadencePermille < 1000) return { state: "fair", text: "this device: fewer frames" };
   if (player.scale < 1) return { state: "fair", text: "this device: fewer pixels" };
   if (shown.update.missed && player.playing) return { state: "bad", text: "your link: too slow" };
+  if (player.playing && Number.isNaN(shown.update.lodMean)) return { state: "fair", text: "nothing in view" };
   const share = detailOf(player);
   if (share !== undefined && share < SHORT_OF_DETAIL) return { state: "fair", text: "your link: less detail" };
   if (status.references && player.playing && shown.reference && shown.frame - shown.reference.frame > 5)

@@ -22,6 +22,11 @@ export interface Place {
   readonly size?: readonly [number, number];
 }
 
+/** Coordinates beyond this are nowhere near a scene, and the protocol takes only ten times as much. */
+const FARTHEST = 1e8;
+/** Shorter quaternions have no direction. */
+const LEAST_QUATERNION = 1e-6;
+
 /** The scene that the page's address names, of a server with several. */
 export function sceneOf(search: string): string | undefined {
   return new URLSearchParams(search).get("scene") ?? undefined;
@@ -40,10 +45,10 @@ export function placeOf(hash: string): Place {
   const given = new URLSearchParams(hash.replace(/^#/, ""));
   const numbers = (name: string, count: number): number[] | undefined => {
     const parts = (given.get(name) ?? "").split(",").map(Number);
-    return given.has(name) && parts.length === count && parts.every(Number.isFinite) ? parts : undefined;
+    return given.has(name) && parts.length === count && parts.every(isNear) ? parts : undefined;
   };
   const [seconds] = numbers("t", 1) ?? [];
-  const pose = numbers("pose", 7);
+  const pose = givenPose(numbers("pose", 7));
   const target = numbers("target", 3);
   const background = given.get("background")?.match(/^#?([0-9a-f]{6})$/i);
   const size = given.get("size")?.match(/^(\d{1,4})x(\d{1,4})$/);
@@ -51,7 +56,7 @@ export function placeOf(hash: string): Place {
   const token = given.get("token");
   return {
     ...(seconds === undefined ? {} : { seconds: Math.max(0, seconds) }),
-    ...(pose ? { pose: poseOf(pose) } : {}),
+    ...(pose ? { pose } : {}),
     ...(mode ? { mode } : {}),
     ...(target ? { target: target as unknown as Vec3 } : {}),
     ...(background ? { background: `#${background[1]}` } : {}),
@@ -65,6 +70,17 @@ export function placeOf(hash: string): Place {
 /** A pose of seven numbers: position, then quaternion `wxyz`. */
 export function poseOf([x, y, z, qw, qx, qy, qz]: readonly number[]): Pose {
   return { position: [x, y, z], rotation: canonical([qw, qx, qy, qz]) };
+}
+
+/** The pose of seven numbers that anybody may have written; undefined where they are none. */
+export function givenPose(value: unknown): Pose | undefined {
+  if (!Array.isArray(value) || value.length !== 7 || !value.every(isNear)) return undefined;
+  const pose = value as number[];
+  return Math.hypot(...pose.slice(3)) < LEAST_QUATERNION ? undefined : poseOf(pose);
+}
+
+function isNear(value: unknown): boolean {
+  return typeof value === "number" && Math.abs(value) <= FARTHEST; // nor NaN
 }
 
 /** The # of a link to a moment seen from a pose; the token is not passed on. */
