@@ -86,7 +86,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _run(argv: Sequence[str]) -> None:
-    arguments = _parser().parse_args(argv)
+    arguments = _parser().parse_intermixed_args(argv)  # so that OUT may come after flags
     names = [name for name in OTHER_COMMANDS if getattr(arguments, name)]
     if arguments.plot and not arguments.inspect:
         raise ConfigError("--plot draws the results of --inspect; add --inspect BUNDLE")

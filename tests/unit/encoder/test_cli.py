@@ -114,3 +114,11 @@ def test_settings_may_come_through_pipes(tmp_path: Path, capsys: pytest.CaptureF
     finally:
         os.close(out)
     assert "Through a pipe" in (tmp_path / "out" / "manifest.json").read_text()
+
+
+@pytest.mark.parametrize("place", range(3))
+def test_flags_may_stand_anywhere(place: int, tmp_path: Path) -> None:
+    words = ["procedural:size=500", str(tmp_path / "out")]
+    words[place:place] = ["--frames", "1", "--workers", "1", "--lod-order", "paper", "--no-resume"]
+    assert main(words) == 0
+    assert (tmp_path / "out" / "manifest.json").exists()
