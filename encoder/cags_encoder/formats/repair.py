@@ -58,9 +58,10 @@ class DropBroken:
         if gone and (source, gone) not in _said:
             _said.add((source, gone))
             _log.warning(
-                "%s: left out %d of %d splats with non-finite values or a rotation of length zero",
+                "%s: left out %d of %d splats: non-finite values, positions beyond %g or no rotation",
                 source,
                 gone,
                 len(good),
+                MAX_COORDINATE,
             )
         return (splats.take(good) if gone else splats).checked(source)
