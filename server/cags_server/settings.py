@@ -17,7 +17,8 @@ CLIENT, PLAIN = "client", "plain"
 ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^/\s?#@]+/?|null")
 """What a browser may send as ``Origin``: scheme, host and port; ``null`` for pages from files."""
 
-HOST = re.compile(r"[a-z0-9_-]+(\.[a-z0-9_-]+)*\.?", re.IGNORECASE)
+HOST = re.compile(r"[a-z0-9_-]+(\.[a-z0-9_-]+)*\.?")
+"""A host name in lower case. Literal addresses need not be listed."""
 
 
 def check_origins(text: str) -> None:

@@ -84,6 +84,13 @@ class Client:
         while (event := self.session.next_event()) is not None:
             self.events.append(event)
 
+    async def leave(self) -> None:
+        """Say goodbye, and close the connection."""
+        self.session.bye("done", now_us=now_us())
+        for data in self.session.data_to_send(now_us()):
+            await self.transport.send(data)
+        await self.transport.close()
+
     async def play(self) -> list[int]:
         """Watch to the end; the media frames of the references that came."""
         await self.until(ev.FrameEnded)

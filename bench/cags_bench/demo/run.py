@@ -72,7 +72,7 @@ def run_demo(scene: str, settings: DemoSettings, progress: IO[str]) -> dict[str,
         client = stream_once(str(bundle), sized, report, progress, limit_s=client_limit_s(frames, fps))
         summary = write_report(report, settings, frames)
         summary["client_exit_code"] = client
-        replace_files(report, out)
+        replace_report(report, out)
     return summary
 
 
@@ -221,7 +221,7 @@ def check_replaceable(out: Path) -> None:
     raise CagsError(f"{out}: exists and is not an earlier report; name another folder with --out")
 
 
-def replace_files(made: Path, out: Path) -> None:
+def replace_report(made: Path, out: Path) -> None:
     """Put the files of a finished report into the place of those of an earlier one, which are left beside ``made``.
 
     The folder ``out`` itself stays if there is one: it may be a mount, or the folder that somebody works in. Raises

@@ -49,10 +49,7 @@ async def test_several_clients_watch_at_once_and_leave() -> None:
             assert played == sorted(set(played))  # on a busy machine some are skipped
             assert played
         for client in clients:
-            client.session.bye("done", now_us=now_us())
-            for data in client.session.data_to_send(now_us()):
-                await client.transport.send(data)
-            await client.transport.close()
+            await client.leave()
         async with aiohttp.ClientSession() as http:
             for _ in range(200):
                 async with http.get(server.make_url("/healthz")) as answer:
@@ -312,10 +309,7 @@ async def test_a_session_is_logged(tmp_path: Path) -> None:
     async with serving(session_logs=str(tmp_path)) as (_, server):
         client = await Client.join(server)
         await client.play()
-        client.session.bye("done", now_us=now_us())
-        for data in client.session.data_to_send(now_us()):
-            await client.transport.send(data)
-        await client.transport.close()
+        await client.leave()
     (path,) = files(tmp_path)
     lines = [json.loads(line) for line in path.read_text().splitlines()]
     assert lines[0]["format"] == "cags-session"
@@ -329,10 +323,7 @@ async def test_a_server_that_is_started_again_keeps_what_the_one_before_it_has_w
         async with serving(session_logs=str(tmp_path / "logs"), event_traces=str(tmp_path / "traces")) as (_, server):
             client = await Client.join(server)
             await client.play()
-            client.session.bye("done", now_us=now_us())
-            for data in client.session.data_to_send(now_us()):
-                await client.transport.send(data)
-            await client.transport.close()
+            await client.leave()
     for folder in ("logs", "traces"):
         names = [path.name for path in files(tmp_path / folder)]
         assert len(names) == 2
@@ -363,8 +354,5 @@ async def test_a_log_that_cannot_be_written_does_not_end_the_server(
         for _ in range(2):
             client = await Client.join(server)
             await client.play()
-            client.session.bye("done", now_us=now_us())
-            for data in client.session.data_to_send(now_us()):
-                await client.transport.send(data)
-            await client.transport.close()
+            await client.leave()
     assert caplog.text.count("gone: cannot be written") == 2

@@ -11,16 +11,13 @@ import pytest
 
 from cags_protocol import events as ev
 from cags_server.http import memory
-from support.live_server import Client, now_us, serving
+from support.live_server import Client, serving
 
 
 async def visit(server) -> None:
     client = await Client.join(server)
     await client.until(ev.FrameEnded)
-    client.session.bye(now_us=now_us())
-    for data in client.session.data_to_send(now_us()):
-        await client.transport.send(data)
-    await client.transport.close()
+    await client.leave()
 
 
 async def test_ended_sessions_leave_no_cycles(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ from aiohttp.test_utils import TestServer
 from cags_protocol import events as ev
 from cags_server.http.status import SessionBook, page
 from cags_server.records import StreamStats
-from support.live_server import Client, now_us, serving
+from support.live_server import Client, serving
 
 
 def basic(text: str) -> dict[str, str]:
@@ -38,10 +38,7 @@ async def test_the_page_tells_who_watches_and_why_others_left() -> None:
         first, second = [await Client.join(server) for _ in range(2)]
         await first.until(ev.FrameEnded)
         await second.until(ev.FrameEnded)
-        first.session.bye("done", now_us=now_us())
-        for data in first.session.data_to_send(now_us()):
-            await first.transport.send(data)
-        await first.transport.close()
+        await first.leave()
         await second.play()
         report = await told_of_frames(second, http, server)
         async with http.get(server.make_url("/status")) as answer:

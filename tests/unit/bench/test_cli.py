@@ -121,7 +121,7 @@ def test_a_report_that_cannot_be_replaced_stays(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Path, "rename", fail)
     with pytest.raises(OutputError, match=r"report: cannot be written \(broken disk\)"):
-        run.replace_files(made, report)
+        run.replace_report(made, report)
     assert contents(report) == before
 
 

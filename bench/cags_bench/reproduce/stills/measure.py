@@ -93,9 +93,8 @@ class StillCase:
 
 def encoding(scene: str, quantiser: str) -> Encoding:
     """The first frame of ``scene``."""
-    order = (
-        "measured" if quantiser == DEFAULT else "paper"
-    )  # not measured: the paper's have every level, visible or not
+    # A measured order ends at the last visible level; tables of the paper's quantisers show every level.
+    order = "measured" if quantiser == DEFAULT else "paper"
     return Encoding(scene, EncodeSettings(frames=1, quantiser=quantiser, lod_order=order))
 
 
