@@ -51,10 +51,11 @@ OF_THE_PAGE = {
     ("store/gofTiles", "cags_common.store.gof_tiles"): """MAX_LATE_BYTES MAX_TILES_PER_GOF MAX_KEPT_SPLATS
         KEPT_SPLAT_BYTES REPLAY_AHEAD""",
     ("motion/chunk", "cags_common.motion.chunk"): """MOTION_VERSION=VERSION LEVELS REFINEMENT MAX_SPAN MAX_SPLATS
-        MAX_SAMPLES MAX_BLOCK MAX_FINER MAX_UNIT FADE_STEP""",
+        MAX_SAMPLES MAX_FINER FADE_STEP""",
     ("motion/chunk", "cags_common.motion.symbols"): "MAX_ESCAPES ESCAPE LIFE_EDGES",
     ("motion/knots", "cags_common.motion.knots"): "FRACTION_BITS WEIGHT_BITS",
     ("motion/knots", "cags_common.motion.contexts"): "MAGNITUDE EDGES=_EDGES",
+    ("motion/knots", "cags_common.motion.neighbours"): "MOST_SPREAD",
     ("motion/apply", "cags_common.motion.apply"): "ABSENT_LOGIT",
     ("gpu/graph", "cags_gpu.graph"): "MAX_GROUPS RADIX_BITS BLOCK",
     ("gpu/scene", "cags_gpu.scene"): "STAGED_BYTES",
@@ -78,7 +79,13 @@ OF_THE_KERNELS = {
         "motion/tree.cpp",
         "cags_common.motion.contexts",
     ): "kMagnitude=MAGNITUDE kClasses=CLASSES kRealClasses=REAL_CLASSES",
-    ("motion/apply.cpp", "cags_common.motion.chunk"): "kTurnUnit=TURN_UNIT",
+    (
+        "motion/neighbours.cpp",
+        "cags_common.motion.neighbours",
+    ): "kWindow=WINDOW kTiny=_TINY kRidge=RIDGE kFurthest=FURTHEST",
+    ("motion/neighbours.h", "cags_common.motion.neighbours"): "kFirstGroups=FIRST_GROUPS kFirstFiner=FIRST_FINER",
+    ("motion/tree.cpp", "cags_common.motion.neighbours"): "kMostSpread=MOST_SPREAD kSpread=SPREAD",
+    ("motion/cags_motion.h", "cags_common.motion.neighbours"): "CAGS_NEIGHBOURS=COUNT",
     ("motion/apply.cpp", "cags_common.motion.apply"): "kAbsentLogit=ABSENT_LOGIT",
     ("motion/cags_motion.h", "cags_common.motion.chunk"): "CAGS_MAX_SPAN=MAX_SPAN CAGS_MAX_TILE_SPLATS=MAX_SPLATS",
     ("motion/cags_motion.h", "cags_common.tiles.payloads"): "CAGS_MAX_TILE_SPLATS=MAX_TILE_SPLATS",

@@ -26,7 +26,7 @@ Levels = dict[tuple[int, int], list[int]]
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     settings = EncodeSettings(frames=FRAMES, train_splats=4096, lod_order="paper")
-    return cached_bundle(f"procedural:size=6000,frames={FRAMES},seed=3", str(tmp_path_factory.mktemp("b")), settings)
+    return cached_bundle(f"procedural:size=10000,frames={FRAMES},seed=3", str(tmp_path_factory.mktemp("b")), settings)
 
 
 def played(bundle: Path, trace: str, monkeypatch: pytest.MonkeyPatch) -> tuple[Levels, Levels]:

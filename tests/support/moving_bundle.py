@@ -22,9 +22,10 @@ from cags_common.bundle.manifest import MotionSteps
 from cags_common.bundle.source import encode_source
 from cags_common.geometry import F32, Vec3
 from cags_common.motion import chunk
+from cags_common.motion.neighbours import Anchors
 from cags_common.splats import Ids, Splats
 from cags_common.tiles.kinds import TileKind
-from cags_common.tiles.payloads import PositionGrid, encode_base, encode_layer
+from cags_common.tiles.payloads import PositionGrid, decode_base, encode_base, encode_layer
 from cags_common.tiles.updates import encode_update
 from cags_server.scene.library import SceneLibrary
 from support.codec_scenes import books
@@ -35,6 +36,7 @@ ORDER = tuple(LodLayer(name, 1) for name in BOOKS.attributes)
 LODS = len(ORDER) + 1
 STEP_M = 0.02
 """Finest unit of positions, metres."""
+TURN_STEP = 0.01
 
 GROUP, FRAMES = 7, 14
 NOBODY = np.zeros(0, np.int32)
@@ -67,6 +69,7 @@ class _Track:
     looks: tuple[int, int]
     ids: Ids
     means: F32
+    anchors: Anchors
     begins: int  # the frame of the next chunk
 
 
@@ -119,7 +122,7 @@ class MovingScene:
         if self._motion:
             ends_soon = any(self._deaths[each] <= frame + 1 for each in ids.tolist())
             begins = frame if ends_soon else frame + int(self._random.integers(0, 2))
-            self._tracks.append(_Track((frame, number), ids, means, begins))
+            self._tracks.append(_Track((frame, number), ids, means, _anchors(first), begins))
         return TilePayloads(len(ids), int(ids[0]) if key else None, _corners(means), (first, *layers))
 
     def _update(self, ids: Ids) -> TilePayloads:
@@ -142,9 +145,15 @@ class MovingScene:
         count = len(track.ids)
         lives = np.array([np.clip(self._deaths[each] - frame, 0, span + 1) for each in track.ids.tolist()], np.uint8)
         moves = self._random.normal(0, 40, (span + 1, count, 3))
-        payloads = chunk.encode(track.looks, moves, None, starts=True, lives=lives)
+        payloads = chunk.encode(track.looks, track.anchors, moves, None, starts=True, lives=lives)
         bounds = _corners((track.means + moves * STEP_M).reshape(-1, 3))
         return TilePayloads(count, None, bounds, payloads, TileKind.MOTION, track.looks, span)
+
+
+def _anchors(base: bytes) -> Anchors:
+    """Of looks whose LoD 0 is ``base``."""
+    means = decode_base(base, BOOKS).means
+    return Anchors(means, *(np.full(len(means), step, np.float32) for step in (STEP_M, TURN_STEP)))
 
 
 def _corners(means: np.ndarray) -> tuple[Vec3, Vec3]:
@@ -164,7 +173,7 @@ def write_moving(url: str, seed: int, *, motion: bool = True) -> PlayedReader:
                 group.frame(*scene.frame(frame), nothing)
             group.close()
             capacities.append(scene.capacity)
-        steps = MotionSteps((STEP_M,) * 16, (0.01,) * 16) if motion else None
+        steps = MotionSteps((STEP_M,) * 16, (TURN_STEP,) * 16) if motion else None
         box = (-5.0, -2.0, 1.0), (5.0, 2.0, 6.0)
         writer.commit(
             Manifest(

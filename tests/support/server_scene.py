@@ -12,6 +12,7 @@ import numpy as np
 from cags_common.bundle import FrameEntry, Manifest, SourceDelta, SourceFrame, TileEntry
 from cags_common.coding.packing import crc32, encode_ids
 from cags_common.geometry import F32, Intrinsics, Pose
+from cags_common.motion.neighbours import Anchors
 from cags_common.raster.base import RenderedView
 from cags_common.splats import Ids, Splats
 from cags_common.tiles.lod import LodLayer
@@ -92,7 +93,8 @@ class WallCodec:
     def __init__(self, reader: FakeReader) -> None:
         self._reader = reader
 
-    def open_tile(self, payload: bytes | memoryview) -> WallTile:
+    def open_tile(self, payload: bytes | memoryview, anchors: Anchors | None = None) -> WallTile:
+        del anchors  # nothing moves by chunks
         frame, tile, lod = payload[:3]
         ids = FakeReader.tile_ids(self._reader, frame, tile)
         return WallTile(ids, wall(self._reader.splats, frame).take(ids), lod, lossy=self._reader.lossy)
@@ -139,6 +141,9 @@ class FakeReader:
 
     def payload(self, frame: int, tile: int, lod: int) -> bytes:
         return bytes([frame, tile, lod]) * (40 if lod == 0 else 10)
+
+    def open_tile(self, frame: int, tile: int, lod: int = 0) -> WallTile:
+        return self.codec.open_tile(self.payload(frame, tile, lod))
 
     def tile_ids(self, frame: int, tile: int) -> Ids:
         first = tile * self._tile_splats

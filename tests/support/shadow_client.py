@@ -55,7 +55,9 @@ class ShadowClient:
 
     def _show(self, buffer: SplatBuffer, key: tuple[int, int]) -> None:
         layers = self.held[key]
-        state = self._reader.codec.open_tile(layers[0])
+        looks = next(entry.looks for entry in self._reader.frame(key[0]).tiles if entry.tile == key[1])
+        anchors = None if looks is None else self._reader.anchors(*looks)
+        state = self._reader.codec.open_tile(layers[0], anchors)
         for lod in sorted(layers)[1:]:
             state.add_layer(lod, layers[lod])
         if isinstance(state, MotionTile):

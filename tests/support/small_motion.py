@@ -10,12 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from cags_common.bundle import BundleReader, BundleWriter, TilePayloads
+from cags_common.bundle.codecs import SvqTileCodec, anchors_of
 from cags_common.bundle.manifest import Manifest, MotionSteps
-from cags_common.motion.chunk import Blocks, encode
+from cags_common.motion.chunk import encode
+from cags_common.motion.neighbours import Anchors
 from cags_common.store.tile_decode import Arrival
 from cags_common.tiles.kinds import TileKind
 from cags_common.tiles.payloads import PositionGrid, encode_base, encode_layer
 from cags_common.tiles.updates import encode_update
+from support.anchors import together
 from support.small_store import ATTRIBUTES, CAPACITY, ORDER, books, manifest
 
 BOX = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
@@ -42,11 +45,11 @@ def looks(ids: list[int], x: float, rng: np.random.Generator | None = None) -> T
 
 
 def motion(of: tuple[int, int], count: int, dx: list[float], lives: list[int] | None = None) -> TilePayloads:
-    """``count`` splats that are ``dx`` metres along x from their looks' place at each frame from the first on."""
+    """``count`` splats that are ``dx`` metres along x from their looks' one place at each frame from the first on."""
     moves = np.zeros((len(dx), count, 3))
     moves[:, :, 0] = np.array(dx)[:, None] / (2 * MOVE_UNIT)  # splats of scale code 1
     ends = None if lives is None else np.array(lives, np.uint8)
-    payloads = encode(of, moves, None, starts=True, lives=ends)
+    payloads = encode(of, together(count), moves, None, starts=True, lives=ends)
     return TilePayloads(count, None, BOX, payloads, TileKind.MOTION, of, len(dx) - 1)
 
 
@@ -106,7 +109,7 @@ def written(folder: Path, of: Manifest, frames: list[list[TilePayloads]]) -> Cli
 def random_frames(rng: np.random.Generator, of: Manifest) -> list[list[TilePayloads]]:
     """Looks that take splats from each other, updates, and motion of tiles of looks that came before in the group."""
     frames: list[list[TilePayloads]] = []
-    tiles: dict[tuple[int, int], int] = {}
+    tiles: dict[tuple[int, int], Anchors] = {}
     for frame in range(of.frames):
         here: list[TilePayloads] = []
         if frame in of.gof_starts:
@@ -114,13 +117,21 @@ def random_frames(rng: np.random.Generator, of: Manifest) -> list[list[TilePaylo
         free = rng.permutation(CAPACITY)
         for _ in range(2 if not tiles else int(rng.random() < 0.4)):
             ids, free = sorted(free[:4].tolist()), free[4:]
-            tiles[frame, len(here)] = len(ids)
             here.append(looks(ids, 0.0, rng))
+            tiles[frame, len(here) - 1] = decoded_anchors(of, here[-1])
         if rng.random() < 0.5:
             here.append(_random_update(rng, sorted(rng.permutation(CAPACITY)[:5].tolist())))
-        here += [_random_motion(rng, key, count) for key, count in tiles.items() if rng.random() < 0.4]
+        here += [_random_motion(rng, key, anchors) for key, anchors in tiles.items() if rng.random() < 0.4]
         frames.append(here)
     return frames
+
+
+def decoded_anchors(of: Manifest, tile: TilePayloads) -> Anchors:
+    """What motion of a ``tile`` of looks is told by."""
+    state = SvqTileCodec(of, books().to_bytes()).open_tile(tile.payloads[0])
+    anchors = anchors_of(state)  # type: ignore[arg-type]
+    assert anchors is not None
+    return anchors
 
 
 def _random_update(rng: np.random.Generator, ids: list[int]) -> TilePayloads:
@@ -130,8 +141,8 @@ def _random_update(rng: np.random.Generator, ids: list[int]) -> TilePayloads:
     return update(ids, changed, codes)
 
 
-def _random_motion(rng: np.random.Generator, of: tuple[int, int], count: int) -> TilePayloads:
-    span = int(rng.integers(1, 5))
+def _random_motion(rng: np.random.Generator, of: tuple[int, int], anchors: Anchors) -> TilePayloads:
+    span, count = int(rng.integers(1, 5)), len(anchors)
     moves = np.cumsum(rng.normal(size=(span + 1, count, 3)) * 20, axis=0)
     turns = np.cumsum(rng.normal(size=(span + 1, count, 4)) * 5, axis=0) if rng.random() < 0.5 else None
     stands = np.flatnonzero(rng.random(count) < rng.choice([0.0, 0.6]))
@@ -142,11 +153,5 @@ def _random_motion(rng: np.random.Generator, of: tuple[int, int], count: int) ->
     fades = None
     if rng.random() < 0.3:
         fades = np.stack([rng.integers(0, 49, count), rng.integers(-4, 5, count)], axis=1)
-    blocks = None
-    if rng.random() < 0.3:
-        shape = (span + 1, -(-count // 2), 3)
-        blocks = Blocks(2, 0.01, *(rng.integers(-400, 400, shape).astype(np.int32) for _ in range(2)))
-        for rigid in (blocks.shifts, blocks.turns):
-            rigid[:, stands // 2] = rigid[0, stands // 2]
-    payloads = encode(of, moves, turns, starts=bool(rng.random() < 0.5), lives=lives, fades=fades, blocks=blocks)
+    payloads = encode(of, anchors, moves, turns, starts=bool(rng.random() < 0.5), lives=lives, fades=fades)
     return TilePayloads(count, None, BOX, payloads, TileKind.MOTION, of, span)

@@ -13,26 +13,37 @@ from cags_common.coding.packing import decode_ids, encode_ids, gunzip_bounded, g
 from cags_common.errors import DecodeError
 from support.mutation import mutate
 from support.node import run_tests
+from vectors.motion import make as motion_vectors
 
 VECTORS = Path(__file__).parents[1] / "vectors"
 DAMAGED = 400
 
 
 def test_tiles_and_updates_of_the_recorded_bundle_at_every_recorded_level(tmp_path: Path) -> None:
-    bundle = json.loads((VECTORS / "bundle" / "v4.json").read_text())
+    bundle = json.loads((VECTORS / "bundle" / "v5.json").read_text())
     run_tests("decode", tmp_path, bundle=bundle, chunks=_chunks(), bytes=_bytes())
 
 
 def _chunks() -> list[dict[str, Any]]:
-    """Payloads of recorded chunks, and the arrays that they decode to."""
-    with np.load(VECTORS / "motion" / "v7.npz") as file:
+    """Payloads of recorded chunks, what they are told by, and the arrays that they decode to at each level."""
+    with np.load(VECTORS / "motion" / "v8.npz") as file:
         arrays = {key: file[key] for key in file.files}
     out = []
     for name in sorted({key.split("/")[0] for key in arrays}):
         mine = {key.split("/")[1]: array for key, array in arrays.items() if key.startswith(f"{name}/")}
         payloads = [mine.pop(key).tobytes() for key in sorted(mine) if key.startswith("payload-")]
-        wanted = {key: _text(mine[key].tobytes()) for key in ("moves", "turns", "lives", "fades") if key in mine}
-        out.append({"name": name, "payloads": [_text(p) for p in payloads], "arrays": wanted})
+        wanted = {key: _text(array.tobytes()) for key, array in mine.items() if key[0].isdigit()}
+        anchors = motion_vectors.anchors_of(len(mine["logits"]))
+        told_by = {"positions": anchors.positions, "moves": anchors.moves, "turns": anchors.turns}
+        out.append(
+            {
+                "name": name,
+                "payloads": [_text(p) for p in payloads],
+                "anchors": {key: _text(array.tobytes()) for key, array in told_by.items()},
+                "arrays": wanted,
+            }
+        )
+    assert any(key.endswith("moves") for item in out for key in item["arrays"])
     return out
 
 

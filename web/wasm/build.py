@@ -16,7 +16,7 @@ HERE = Path(__file__).resolve().parent
 NATIVE = HERE.parents[1] / "kernels" / "src" / "native"
 SOURCES = [
     HERE / "browser.cpp",
-    *(NATIVE / name for name in ("codec/abi.cpp", "motion/apply.cpp", "motion/symbols.cpp", "motion/tree.cpp")),
+    *(NATIVE / name for name in ("codec/abi.cpp", "motion/apply.cpp", "motion/neighbours.cpp", "motion/symbols.cpp", "motion/tree.cpp")),
 ]
 EXPORTS = (
     "cags_web_allocate",
@@ -29,6 +29,7 @@ EXPORTS = (
     "cags_symbols_take",
     "cags_symbols_finish",
     "cags_motion_decode_tree",
+    "cags_motion_neighbours",
     "cags_motion_rows",
 )
 FLAGS = (

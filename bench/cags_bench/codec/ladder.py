@@ -18,7 +18,7 @@ from cags_common.bundle.codecs import tile_codec
 from cags_common.errors import DecodeError
 from cags_common.raster import create
 from cags_common.splats import Splats
-from cags_common.store.tile_decode import OpenTile, TileOpener
+from cags_common.store.tile_decode import First, OpenTile, TileOpener
 from cags_common.tiles.morton import tile_ranges
 from cags_common.tiles.payloads import KEY_TILE_SPLATS, position_bytes
 from cags_encoder.codecs.svq import SvqCodec
@@ -114,8 +114,8 @@ def encode_changed(codec: SvqCodec, splats: Splats) -> Tile:
 
 def decode(opener: TileOpener, tiles: list[Tile], lod: int, sh_degree: int) -> Splats:
     """The splats that a client shows from ``tiles`` up to ``lod``."""
-    states = []
-    for opened, payloads in zip(opener.open([memoryview(tile[0]) for tile in tiles]), tiles, strict=True):
+    states, firsts = [], [First((0, number), 0, memoryview(tile[0])) for number, tile in enumerate(tiles)]
+    for opened, payloads in zip(opener.opened(firsts), tiles, strict=True):
         if isinstance(opened, DecodeError):
             raise opened
         assert isinstance(opened, OpenTile)  # a static scene has only looks

@@ -1,4 +1,4 @@
-"""Moving splats without a scene: tiles whose motion has blocks, positions and rotations."""
+"""Moving splats without a scene: tiles whose motion has positions and rotations."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import numpy as np
 
 from cags_common.motion import chunk
 from cags_common.motion.apply import Steps
-from cags_common.motion.chunk import Blocks, ChunkDecoder
+from cags_common.motion.chunk import ChunkDecoder
+from cags_common.motion.neighbours import Anchors
 from cags_common.splats import Splats
 from cags_common.tiles.splat_buffer import Slot, SplatBuffer
 
-TILE, BLOCK, SPAN = 8_000, 128, 32
+TILE, SPAN = 8_000, 32
 
 
 def moving_buffer(count: int, threads: int, seed: int = 0) -> SplatBuffer:
@@ -22,8 +23,10 @@ def moving_buffer(count: int, threads: int, seed: int = 0) -> SplatBuffer:
         steps = Steps(np.full(n, 1e-4, np.float32), np.full(n, 1e-3, np.float32))
         slot = Slot(number, (0, number), steps=steps)
         buffer.add(slot)
-        buffer.write(slot, 0, ids, _splats(n, random))
-        buffer.set_motion(slot.key, 0, _chunk(n, number, random))
+        splats = _splats(n, random)
+        buffer.write(slot, 0, ids, splats)
+        anchors = Anchors(splats.means, steps.moves, steps.turns)
+        buffer.set_motion(slot.key, 0, _chunk(anchors, number, random))
     buffer.move(0.0)
     return buffer
 
@@ -36,14 +39,12 @@ def _splats(n: int, random: np.random.Generator) -> Splats:
     return Splats(means, quats.astype(np.float32), sizes, opacities, colours, np.zeros((n, 0, 3), np.float32))
 
 
-def _chunk(n: int, number: int, random: np.random.Generator) -> chunk.Chunk:
-    times = np.arange(SPAN + 1)[:, None, None]
+def _chunk(anchors: Anchors, number: int, random: np.random.Generator) -> chunk.Chunk:
+    times, n = np.arange(SPAN + 1)[:, None, None], len(anchors)
     moves = 40 * np.sin(times / 5 + random.uniform(0, 6, (1, n, 3)))
     turns = 8 * np.sin(times / 7 + random.uniform(0, 6, (1, n, 4)))
-    count = -(-n // BLOCK)
-    shifts, spins = (random.integers(-500, 500, (SPAN + 1, count, 3)).astype(np.int32) for _ in range(2))
-    payloads = chunk.encode((0, number), moves, turns, starts=True, blocks=Blocks(BLOCK, 1e-3, shifts, spins))
-    decoder = ChunkDecoder(payloads[0])
+    payloads = chunk.encode((0, number), anchors, moves, turns, starts=True)
+    decoder = ChunkDecoder(payloads[0], anchors)
     for payload in payloads[1:]:
         decoder.add_level(payload)
     return decoder.chunk

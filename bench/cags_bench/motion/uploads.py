@@ -105,7 +105,7 @@ def _chunk_bytes(reader: BundleReader) -> int:
     for frame in range(reader.manifest.frames):
         for entry in reader.frame(frame).tiles:
             if entry.kind == TileKind.MOTION:
-                state = reader.codec.open_tile(reader.payload(frame, entry.tile, 0))
+                state = reader.open_tile(frame, entry.tile)
                 for lod in range(1, len(entry.lod_bytes)):
                     state.add_layer(lod, reader.payload(frame, entry.tile, lod))
                 chunk = state.chunk  # type: ignore[union-attr]
@@ -117,5 +117,4 @@ def _device_bytes(chunk: Chunk) -> int:
     moving = in_motion(chunk)
     count = chunk.splats if moving is None else len(moving.splats)
     parts = 3 * (chunk.moves is not None) + 4 * (chunk.turns is not None)
-    blocks = 0 if chunk.blocks is None else 24 * chunk.blocks.shifts.shape[1]
-    return count * (STATE_BYTES + 4 * parts * (chunk.span + 1)) + blocks * (chunk.span + 1)
+    return count * (STATE_BYTES + 4 * parts * (chunk.span + 1))

@@ -20,6 +20,7 @@ from cags_common.motion.apply import Steps
 from cags_common.motion.chunk import LEVELS as MOTION_LEVELS
 from cags_common.motion.chunk import VERSION as MOTION_VERSION
 from cags_common.motion.chunk import Chunk, ChunkDecoder
+from cags_common.motion.neighbours import Anchors
 from cags_common.registry import Registry
 from cags_common.splats import Ids, Splats
 from cags_common.tiles.dequantise import Dequantiser
@@ -93,14 +94,20 @@ class TileDecoder(Protocol):
         ...
 
 
+def anchors_of(looks: TileDecoder) -> Anchors | None:
+    """What motion of ``looks`` is told by; None in bundles without motion."""
+    steps = looks.steps
+    return None if steps is None else Anchors(looks.means, steps.moves, steps.turns)
+
+
 class MotionTile:
     """A chunk of motion as far as it has come; levels may come in any order. Not thread-safe."""
 
     kind = TileKind.MOTION
 
-    def __init__(self, payload: bytes | memoryview) -> None:
-        """Decode level 0. Raises :class:`DecodeError`."""
-        self._decoder = ChunkDecoder(payload)
+    def __init__(self, payload: bytes | memoryview, anchors: Anchors) -> None:
+        """Decode level 0; ``anchors`` are the looks that move. Raises :class:`DecodeError`."""
+        self._decoder = ChunkDecoder(payload, anchors)
         self._waiting: dict[int, bytes] = {}
 
     def __len__(self) -> int:
@@ -207,8 +214,11 @@ AnyTile: TypeAlias = "TileDecoder | MotionTile | UpdateState"
 class TileCodec(Protocol):
     """Opens the tiles of one bundle."""
 
-    def open_tile(self, payload: bytes | memoryview) -> AnyTile:
-        """Decode LoD 0 of a tile of any kind. Raises :class:`DecodeError`."""
+    def open_tile(self, payload: bytes | memoryview, anchors: Anchors | None = None) -> AnyTile:
+        """Decode LoD 0 of a tile of any kind; motion needs ``anchors``, the looks that it moves.
+
+        Raises :class:`DecodeError`.
+        """
         ...
 
     def tile_ids(self, payload: bytes | memoryview) -> Ids:
@@ -235,13 +245,15 @@ class SvqTileCodec:
         self._dequantiser = Dequantiser(self._books)
         self._steps = _step_tables(manifest, self._books)
 
-    def open_tile(self, payload: bytes | memoryview) -> AnyTile:
+    def open_tile(self, payload: bytes | memoryview, anchors: Anchors | None = None) -> AnyTile:
         """Decode LoD 0; its first byte tells the kinds apart."""
         version = payload[0] if len(payload) else 0
         if version == UPDATE_VERSION:
             return UpdateState(payload, self._books, self._order)
         if version == MOTION_VERSION:
-            return MotionTile(payload)
+            if anchors is None:
+                raise DecodeError("motion: cannot be read without the looks that it moves")
+            return MotionTile(payload, anchors)
         return TileState(decode_base(payload, self._books), self._dequantiser, self._order, self._steps)
 
     def tile_ids(self, payload: bytes | memoryview) -> Ids:

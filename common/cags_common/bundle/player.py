@@ -58,7 +58,7 @@ class BundlePlayer:
     def tile(self, frame: int, entry: TileEntry) -> AnyTile:
         """One tile at this player's LoD."""
         reader, number = self._reader, entry.tile
-        state = reader.codec.open_tile(reader.payload(frame, number, 0))
+        state = reader.open_tile(frame, number)
         top, levels = reader.manifest.lods - 1, len(entry.lod_bytes)
         if entry.kind == TileKind.MOTION:
             levels = sum(size > 0 for size in entry.lod_bytes)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from types import TracebackType
 
-from cags_common.bundle.codecs import tile_codec
+from cags_common.bundle.codecs import AnyTile, MotionTile, anchors_of, tile_codec
 from cags_common.bundle.index import FrameEntry, TileEntry, decode_source_index, decode_tile_index
 from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, FileEntry, Manifest
 from cags_common.bundle.quality import MAX_QUALITY_BYTES, QUALITY_NAME, LodQuality
@@ -13,9 +13,11 @@ from cags_common.bundle.source import SourceDelta, SourceFrame, SourceState, dec
 from cags_common.bundle.store import ByteStore, UrlStore
 from cags_common.coding.packing import check_crc, crc32, decode_ids
 from cags_common.errors import BundleError, DecodeError
+from cags_common.motion.neighbours import Anchors
 from cags_common.runtime.recent import Recent
 from cags_common.splats import Ids
 from cags_common.tiles.svq import MAX_CODEBOOK_BYTES
+from cags_common.tiles.updates import UpdateState
 
 MANIFEST_NAME = "manifest.json"
 THUMBNAIL_NAME = "thumbnail.jpg"
@@ -31,6 +33,11 @@ def weights_name(crc: int) -> str:
     """The file of a restorer's weights, by their CRC-32: new ones lie beside the old until the manifest names them."""
     return f"weights-{crc:08x}.npz"
 
+
+ANCHORS_BYTES = 16 << 20
+"""Bound on the looks in memory by which motion is read."""
+
+ANCHOR_BYTES = 20
 
 CACHED_BYTES, CACHED_FRAMES = 64 << 20, 16
 """Bound on the payloads in memory, and so many frames' in any case: one read fetches a frame, the streamer then picks
@@ -48,6 +55,7 @@ class BundleReader:
         self._index: dict[int, tuple[FrameEntry, ...]] = {}
         self._source_index: dict[int, tuple[tuple[int, int], ...]] = {}
         self._frames = Recent[int, bytes](CACHED_BYTES, least=CACHED_FRAMES)
+        self._anchors = Recent[tuple[int, int], Anchors](ANCHORS_BYTES)
         self._replay: tuple[int, SourceState] | None = None
 
     @classmethod
@@ -72,6 +80,7 @@ class BundleReader:
         """Drop what is cached; the reader may still be used afterwards."""
         with self._lock:
             self._frames.clear()
+            self._anchors.clear()
         with self._replaying:
             self._replay = None
 
@@ -121,6 +130,29 @@ class BundleReader:
         data = self._frame_bytes(entry)[at : at + item.lod_bytes[lod]]
         self._check(frame, data, item.crcs[lod], f"frame {frame}, tile {tile}, LoD {lod}")
         return data
+
+    def open_tile(self, frame: int, tile: int, lod: int = 0) -> AnyTile:
+        """A tile of any kind, at LoD 0; ``lod`` is another where every payload is a whole tile.
+
+        Raises :class:`BundleError` or :class:`DecodeError`.
+        """
+        looks = self._tile(self.frame(frame), tile).looks
+        anchors = None if looks is None else self.anchors(*looks)
+        return self.codec.open_tile(self.payload(frame, tile, lod), anchors)
+
+    def anchors(self, frame: int, tile: int) -> Anchors:
+        """What motion of a tile of looks is told by. Raises :class:`BundleError` or :class:`DecodeError`."""
+        key = frame, tile
+        with self._lock:
+            known = self._anchors.get(key)
+        if known is None:
+            state = self.codec.open_tile(self.payload(frame, tile, 0))
+            known = None if isinstance(state, MotionTile | UpdateState) else anchors_of(state)
+            if known is None:
+                raise BundleError(f"frame {frame}, tile {tile}: no tile of looks that could move")
+            with self._lock:
+                self._anchors.put(key, known, ANCHOR_BYTES * len(known))
+        return known
 
     def tile_ids(self, frame: int, tile: int) -> Ids:
         """Ids [n] of a tile's splats, ascending, in the tile's order; of motion, those of the looks that it moves.

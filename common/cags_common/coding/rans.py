@@ -11,6 +11,7 @@ import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -31,13 +32,14 @@ SYMBOLS_A_LANE = 4096
 """A lane costs four bytes; so many symbols pay for it."""
 
 MAX_TABLES = 64
+MAX_SYMBOLS = 255
 _LOW = 1 << 16
 _HEAD = struct.Struct("<BBI")  # lanes, tables, words
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Static probabilities of the symbols 0 to ``len(frequencies) - 1``."""
+    """Static probabilities of the symbols 0 to ``len(frequencies) - 1``, up to :data:`MAX_SYMBOLS`."""
 
     frequencies: NDArray[np.uint32]  # [symbols], adding up to TOTAL
 
@@ -60,8 +62,8 @@ class Table:
         return Table(shares.astype(np.uint32))
 
     def to_bytes(self) -> bytes:
-        """The largest symbol, then each frequency: below 128 in one byte, else in two, the higher bits first."""
-        out = bytearray([len(self.frequencies) - 1])
+        """How many symbols, then each frequency: below 128 in one byte, else in two, the higher bits first."""
+        out = bytearray([len(self.frequencies)])
         for value in self.frequencies.tolist():
             out += bytes([value]) if value < 128 else bytes([128 | value >> 8, value & 255])
         return bytes(out)
@@ -69,10 +71,14 @@ class Table:
 
 def _read_tables(data: memoryview, count: int) -> tuple[list[Table], int]:
     """``count`` tables from the beginning of ``data``, and where they end. Raises :class:`DecodeError`."""
-    tables, at = [], 0
+    tables: list[Table] = []
+    at = 0
     try:
         for _ in range(count):
-            symbols, at = data[at] + 1, at + 1
+            symbols, at = data[at], at + 1
+            if not symbols:
+                tables.append(tables[-1])
+                continue
             values = np.zeros(symbols, np.uint32)
             for i in range(symbols):
                 first, at = data[at], at + 1
@@ -100,8 +106,9 @@ def _shares(tables: Sequence[Table]) -> tuple[NDArray[np.uint32], NDArray[np.uin
 def encode(tables: U8, symbols: U8, runs: NDArray[np.int64], *, native: bool | None = None) -> bytes:
     """The ``symbols`` [n], each by its table [n], to be read in ``runs`` that add up to n. Same input, same bytes.
 
-    Tables are numbered from 0; they are made from what occurs. ``native`` None takes the kernel where there is one.
-    Raises ``ValueError`` for more than ``MAX_TABLES``.
+    Tables are numbered from 0; they are made from what occurs, and neighbours that are alike share one. ``native`` None
+    takes the kernel where there is one. Raises ``ValueError`` for more than ``MAX_TABLES`` or symbols from
+    ``MAX_SYMBOLS`` on.
     """
     native = cags_kernels.native_available() if native is None else native
     count = 1 + int(tables.max(initial=0))
@@ -109,7 +116,10 @@ def encode(tables: U8, symbols: U8, runs: NDArray[np.int64], *, native: bool | N
         raise ValueError(f"symbols: table {count - 1} is asked for, the last one is {MAX_TABLES - 1}")
     if len(tables) != len(symbols) or int(runs.sum()) != len(symbols) or int(runs.min(initial=0)) < 0:
         raise ValueError(f"symbols: {len(symbols)} of them have {len(tables)} tables and runs of {int(runs.sum())}")
-    made = [Table.of(row) for row in _counted(tables, symbols, native=native)[:count]]
+    if int(symbols.max(initial=0)) >= MAX_SYMBOLS:
+        raise ValueError(f"symbols: {int(symbols.max())} is none; the last one is {MAX_SYMBOLS - 1}")
+    runs_of = _alike(_counted(tables, symbols, native=native)[:count])
+    made = [table for table, length in runs_of for _ in range(length)]
     lanes = min(max(len(symbols) // SYMBOLS_A_LANE, 1), MAX_LANES)
     if native:
         from cags_kernels import motion
@@ -119,7 +129,34 @@ def encode(tables: U8, symbols: U8, runs: NDArray[np.int64], *, native: bool | N
         states, words = _encoded(made, tables, symbols, runs, lanes)
     head = _HEAD.pack(lanes, count, len(words))
     tail = states.astype("<u4").tobytes() + words.astype("<u2", copy=False).tobytes()
-    return head + b"".join(table.to_bytes() for table in made) + tail
+    return head + b"".join(table.to_bytes() + bytes(length - 1) for table, length in runs_of) + tail
+
+
+def _alike(counts: NDArray[np.int64]) -> list[tuple[Table, int]]:
+    """Tables for symbols that occur ``counts`` [tables, 256] times, and how many in a row each one serves.
+
+    Neighbours share one as long as that saves more bytes of tables than it costs of symbols.
+    """
+
+    def made(pooled: NDArray[np.int64]) -> tuple[float, Table]:
+        table, used = Table.of(pooled), pooled[pooled > 0]
+        bits = float((used * np.log2(pooled.sum() / used)).sum())
+        return bits / 8 + len(table.to_bytes()), table
+
+    pooled, lengths = list(counts), [1] * len(counts)
+    costs = [made(one) for one in pooled]
+    joint = [made(one + other) for one, other in pairwise(pooled)]
+    while joint:
+        saved = [costs[i][0] + costs[i + 1][0] - joint[i][0] - 1 for i in range(len(joint))]
+        at = max(range(len(saved)), key=lambda i: saved[i])
+        if saved[at] <= 0:
+            break
+        pooled[at], lengths[at], costs[at] = pooled[at] + pooled[at + 1], lengths[at] + lengths[at + 1], joint[at]
+        del pooled[at + 1], lengths[at + 1], costs[at + 1], joint[at]
+        for i in (at - 1, at):
+            if 0 <= i < len(joint):
+                joint[i] = made(pooled[i] + pooled[i + 1])
+    return [(table, length) for (_, table), length in zip(costs, lengths, strict=True)]
 
 
 def _counted(tables: U8, symbols: U8, *, native: bool) -> NDArray[np.int64]:

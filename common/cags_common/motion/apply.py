@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 import cags_kernels
 from cags_common.geometry import F32, F64
-from cags_common.motion.chunk import TURN_UNIT, Chunk
+from cags_common.motion.chunk import Chunk
 from cags_common.motion.knots import FRACTION_BITS, I32
 from cags_common.motion.parts import InMotion, in_motion
 from cags_common.runtime.threads import threads_for_rows
@@ -90,11 +90,9 @@ class _Prepared:
 
 
 def _part(tile: MovingTile, of: InMotion) -> MovingTile:
-    """The splats in motion of a tile; those that stand in blocks that move are left alone."""
-    rows = np.full(tile.chunk.splats, -1, np.int32)
-    rows[of.splats] = tile.rows[of.splats]
-    steps = Steps(tile.steps.moves[of.taken], tile.steps.turns[of.taken])
-    return MovingTile(of.chunk, tile.time, rows[of.taken], steps)
+    """The splats in motion of a tile."""
+    steps = Steps(tile.steps.moves[of.splats], tile.steps.turns[of.splats])
+    return MovingTile(of.chunk, tile.time, tile.rows[of.splats], steps)
 
 
 def evaluate(chunk: Chunk, time: float, looks: Looks, steps: Steps) -> Looks:
@@ -105,7 +103,7 @@ def evaluate(chunk: Chunk, time: float, looks: Looks, steps: Steps) -> Looks:
     """
     moment, units = moment_of(chunk, time), _units(chunk, steps)
     with np.errstate(over="ignore", under="ignore"):
-        at, turned = _rigid(chunk, moment, looks)
+        at, rotated = looks.means.astype(np.float64), looks.quats
         if chunk.moves is not None:
             unit = units[0].astype(np.float64) / (1 << FRACTION_BITS)
             at = at + _between(chunk.moves, moment) * unit[:, None]
@@ -113,8 +111,7 @@ def evaluate(chunk: Chunk, time: float, looks: Looks, steps: Steps) -> Looks:
             unit = units[1].astype(np.float64) / (1 << FRACTION_BITS)
             turn = _between(chunk.turns, moment) * unit[:, None]
             turn[:, 0] += 1.0
-            turned = product(_unit(turn), looks.quats.astype(np.float64) if turned is None else turned)
-        rotated = looks.quats if turned is None else _canonical(turned)
+            rotated = _canonical(product(_unit(turn), looks.quats.astype(np.float64)))
         return Looks(at.astype(np.float32), rotated, opacities(chunk, moment.time, looks.logit_opacities))
 
 
@@ -167,11 +164,10 @@ def _kernel_tile(tile: MovingTile) -> Any:
 def _tile_motion(tile: MovingTile, moment: Moment) -> Any:
     from cags_kernels import motion
 
-    chunk, blocks = tile.chunk, tile.chunk.blocks
+    chunk = tile.chunk
     return motion.TileMotion(
         *(chunk.splats, chunk.span, moment.time, moment.sample, moment.share, tile.rows, chunk.moves, chunk.turns),
         *_units(chunk, tile.steps),
-        None if blocks is None else (blocks.size, float(np.float32(blocks.unit)), blocks.shifts, blocks.turns),
         chunk.lives,
         chunk.fades is not None,
     )
@@ -219,22 +215,6 @@ def _between(samples: I32, moment: Moment) -> F64:
     return first + (after - first) * moment.share
 
 
-def _rigid(chunk: Chunk, moment: Moment, looks: Looks) -> tuple[F64, F64 | None]:
-    """Positions and rotations, not unit, as the blocks carry them; no rotations: they are as they were."""
-    blocks, wide = chunk.blocks, looks.means.astype(np.float64)
-    if blocks is None:
-        return wide, None
-    of = np.arange(len(wide)) // blocks.size
-    turns = _unit_of_gibbs(_between(blocks.turns, moment) * TURN_UNIT)
-    shifts = _between(blocks.shifts, moment) * float(np.float32(blocks.unit))
-    return rotate(turns[of], wide) + shifts[of], product(turns[of], looks.quats.astype(np.float64))
-
-
-def _unit_of_gibbs(gibbs: F64) -> F64:
-    """Unit quaternions [n, 4] of Gibbs vectors [n, 3]."""
-    return _unit(np.concatenate([np.ones((len(gibbs), 1)), gibbs], axis=1))
-
-
 def _unit(quats: F64) -> F64:
     """Quaternions [n, 4] of length one; those without a direction become the identity."""
     w, x, y, z = quats.T
@@ -260,21 +240,6 @@ def product(a: F64, b: F64) -> F64:
             ((w1 * x2 + x1 * w2) + y1 * z2) - z1 * y2,
             ((w1 * y2 - x1 * z2) + y1 * w2) + z1 * x2,
             ((w1 * z2 + x1 * y2) - y1 * x2) + z1 * w2,
-        ],
-        axis=1,
-    )
-
-
-def rotate(quats: F64, points: F64) -> F64:
-    """``points`` [n, 3] turned by unit ``quats`` [n, 4]: p + 2 (w (v x p) + v x (v x p))."""
-    w, x, y, z = quats.T
-    px, py, pz = points.T
-    cx, cy, cz = y * pz - z * py, z * px - x * pz, x * py - y * px
-    return np.stack(
-        [
-            px + 2.0 * (w * cx + (y * cz - z * cy)),
-            py + 2.0 * (w * cy + (z * cx - x * cz)),
-            pz + 2.0 * (w * cz + (x * cy - y * cx)),
         ],
         axis=1,
     )

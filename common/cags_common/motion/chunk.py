@@ -1,9 +1,9 @@
 """A chunk of motion, both ways: what the splats of one tile of looks do from one frame to a later one.
 
 Everything is said against the tile's own positions and rotations, which a client has from the tile's first level on: a
-chunk needs no other chunk, and nothing drifts. Level 0 says who ends when, who fades how, how blocks of splats move as
-rigid bodies, how many levels there are, and coarse residuals; each further level refines the residuals by four. Levels
-beyond the chunk's own are empty. Layout: ``docs/bundle.md``.
+chunk needs no other chunk, and nothing drifts. Level 0 says who ends when, who fades how, how many levels there are,
+and coarse residuals; each further level refines the residuals by four. Levels beyond the chunk's own are empty. Layout:
+``docs/bundle.md``.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from cags_common.coding.packing import squeeze, unsqueeze
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32, F64
 from cags_common.motion.knots import I32, knots
-from cags_common.motion.symbols import SymbolReader, SymbolWriter, fade_tables, life_tables
+from cags_common.motion.neighbours import Anchors
+from cags_common.motion.symbols import Samples, SymbolReader, SymbolWriter, fade_tables, life_tables, nothing_told
 
-VERSION = 7
+VERSION = 8
 LEVELS = 4
 """Levels of a chunk at most."""
 
@@ -34,15 +35,14 @@ MAX_SPLATS = 65_536
 MAX_SAMPLES = 1 << 20
 """Splats times samples of the span: what a payload of a few bytes may claim takes 28 MiB."""
 
-MAX_BLOCK = 4_096
 MAX_FINER = 10
 """A chunk's units are those of its tile, halved so often at most."""
 
-MAX_UNIT = 1e30
 MAX_UNITS = (1 << 25) - (1 << 10)
 """Residuals, finest units: fixed point fits 32 bits."""
 
-STARTS, TURNS, LIVES, FADES, MOVES, STILLS, CURVED_MOVES, CURVED_TURNS = 1, 2, 4, 8, 16, 32, 64, 128
+STARTS, LIVES, FADES, STILLS, CURVED_MOVES, CURVED_TURNS = 1, 2, 4, 8, 16, 32
+FLAGS = STARTS | LIVES | FADES | STILLS | CURVED_MOVES | CURVED_TURNS
 DEADZONES = (0.2, 0.1, 0.15, 0.15)
 """Of each level, units beyond half a one up to which a residual is none: most of the bits tell such noise."""
 
@@ -55,24 +55,10 @@ FADE_WIDTHS = 2.0 ** (np.arange(48) / 4 - 3)
 FADE_STEP = 4
 """Centres of fades are in this part of their width."""
 
-_HEAD = struct.Struct("<BBBBIIIHBBfIIII")
-"""Version, flags, span, levels, looks' frame and tile, splats, block, halvings of the units of
-positions and of rotations, metres a unit of the blocks' shifts, bytes of the
-blocks, of who moves, of the escapes' and of the symbols.
+_HEAD = struct.Struct("<BBBBBIIIBBIII")
+"""Version, flags, span, levels of positions and of rotations, looks' frame and tile, splats, halvings of the units of
+positions and of rotations, bytes of who moves, of the escapes' and of the symbols.
 """
-TURN_UNIT = 1 / 4096
-"""Unit of the blocks' rotations: Gibbs vectors, tangents of half the angle."""
-
-
-@dataclass(frozen=True, eq=False)
-class Blocks:
-    """Rigid motion of runs of ``size`` splats, in the tile's order, at each sample of the span."""
-
-    size: int
-    unit: float
-    """Metres a unit of ``shifts``."""
-    shifts: I32  # [span + 1, blocks, 3]
-    turns: I32  # [span + 1, blocks, 3] Gibbs vectors in TURN_UNIT
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +73,6 @@ class Chunk:
     """[n] frames from the first for which a splat is there; ``span`` + 1: beyond the span. None: all of them are."""
     fades: F32 | None
     """[n, 2] centre and standard deviation of each splat's fade, frames from the first; infinite: none."""
-    blocks: Blocks | None
     moves: I32 | None  # [span + 1, n, 3] fixed point, finest units
     turns: I32 | None  # [span + 1, n, 4]
     starts: bool
@@ -100,67 +85,67 @@ class Chunk:
 
 def encode(
     looks: tuple[int, int],
+    anchors: Anchors,
     moves: F64 | None,
     turns: F64 | None,
     *,
     starts: bool,
     lives: NDArray[np.uint8] | None = None,
     fades: NDArray[np.int64] | None = None,
-    blocks: Blocks | None = None,
     finer: tuple[int, int] = (0, 0),
     told: tuple[int, int] = (LEVELS, LEVELS),
     curved: tuple[bool, bool] = (False, False),
     deadzones: tuple[Sequence[float], Sequence[float]] = (DEADZONES, DEADZONES),
     native: bool | None = None,
 ) -> tuple[bytes, ...]:
-    """The payload of each level. ``moves`` [span + 1, n, 3] and ``turns`` [span + 1, n, 4] are in finest units, those
-    of ``turns`` against (1, 0, 0, 0); ``fades`` [n, 2] are an index of :data:`FADE_WIDTHS` plus one (0: none) and the
-    centre in ``FADE_STEP`` parts of the width, from the middle of the life. ``finer`` says how often the finest
-    units of ``moves`` and of ``turns`` are the tile's halved, ``told`` how many levels say anything of them, ``curved``
-    whether their middles are told against curves, ``deadzones`` those of each level. Payloads of levels that say
-    nothing are empty.
+    """The payload of each level. ``anchors`` [n] are the looks, decoded. ``moves`` [span + 1, n, 3] and ``turns``
+    [span + 1, n, 4] are in finest units, those of ``turns`` against (1, 0, 0, 0); ``fades`` [n, 2] are an index of
+    :data:`FADE_WIDTHS` plus one (0: none) and the centre in ``FADE_STEP`` parts of the width, from the middle of the
+    life. ``finer`` says how often the finest units of ``moves`` and of ``turns`` are the tile's halved, ``told`` how
+    many levels say anything of them, ``curved`` whether their middles are told against curves, ``deadzones`` those of
+    each level. Payloads of levels that say nothing are empty.
 
     ``native`` None takes the kernel where there is one, to the same bytes. Raises ``ValueError`` for arrays that do not
     fit each other, are beyond the format's bounds or not finite.
     """
-    left = {name: part.copy() for name, part in (("moves", moves), ("turns", turns)) if part is not None}
-    span, splats = _bounds(left)
-    _check_sides(span, splats, lives, fades, blocks)
+    given = (("moves", moves), ("turns", turns))
+    wanted = {name: np.ascontiguousarray(part) for name, part in given if part is not None}
+    span, splats = _bounds(wanted)
+    _check_sides(span, splats, lives, fades)
+    _check_anchors(anchors, splats, ValueError)
     if not all(0 <= halvings <= MAX_FINER for halvings in finer):
         raise ValueError(f"motion: units halved {finer} times, 0 to {MAX_FINER} expected")
     if not all(0 <= levels <= LEVELS for levels in told):
         raise ValueError(f"motion: {told} levels say something, 0 to {LEVELS} expected")
-    orders = {
-        name: knots(span, start=starts, curved=bent) for name, bent in zip(("moves", "turns"), curved, strict=True)
-    }
-    flags = STARTS * starts | MOVES * (moves is not None) | TURNS * (turns is not None)
-    flags |= LIVES * (lives is not None) | FADES * (fades is not None)
-    flags |= CURVED_MOVES * (moves is not None and curved[0]) | CURVED_TURNS * (turns is not None and curved[1])
-    levels = {name: told[part] for part, name in enumerate(("moves", "turns")) if name in left}
+    levels = {name: told[part] for part, name in enumerate(("moves", "turns")) if name in wanted and told[part]}
+    wanted = {name: wanted[name] for name in levels}
+    flags = STARTS * starts | LIVES * (lives is not None) | FADES * (fades is not None)
+    flags |= CURVED_MOVES * ("moves" in wanted and curved[0]) | CURVED_TURNS * ("turns" in wanted and curved[1])
     zones = {name: deadzones[part] for part, name in enumerate(("moves", "turns"))}
-    count = max(1, *levels.values())
-    movers = _movers(left, levels, zones)
+    told = levels.get("moves", 0), levels.get("turns", 0)
+    movers = _movers(wanted, levels, zones) if wanted else None
     if movers is not None:
         flags |= STILLS
-        left = {name: np.ascontiguousarray(part[:, movers]) for name, part in left.items()}
-    apart = {name: np.zeros(part.shape, np.uint8) for name, part in left.items()}
-    payloads = []
+        anchors = anchors.take(movers)
+        wanted = {name: np.ascontiguousarray(part[:, movers]) for name, part in wanted.items()}
+    of = nothing_told(anchors, native=native)
+    samples = {
+        name: of(knots(span, start=starts, curved=bent), turn=name == "turns")
+        for name, bent in zip(("moves", "turns"), curved, strict=True)
+        if name in wanted
+    }
+    payloads, count = [], max(1, *told)
     for level in range(count):
         writer = SymbolWriter(native=native)
         if level == 0:
             _write_sides(writer, span, lives, fades)
-        for name, part in left.items():
-            unit, deadzone = REFINEMENT ** (LEVELS - 1 - level), zones[name][level]
-            if level >= levels[name]:
-                part[:] = 0.0
-            writer.tree(orders[name], part, apart[name], unit, deadzone, turn=name == "turns")
+        for name in (name for name in wanted if level < levels[name]):
+            writer.tree(samples[name], wanted[name], REFINEMENT ** (LEVELS - 1 - level), zones[name][level])
         escapes, symbols = writer.to_bytes()
         sizes = len(escapes), len(symbols)
         if level == 0:
-            rigid, who = _blocks_bytes(blocks), b"" if movers is None else squeeze(np.packbits(movers).tobytes())
-            block = (blocks.size, *finer, blocks.unit) if blocks else (0, *finer, 0.0)
-            parts = len(rigid), len(who), *sizes
-            head = _HEAD.pack(VERSION, flags, span, count, *looks, splats, *block, *parts) + rigid + who
+            who = b"" if movers is None else squeeze(np.packbits(movers).tobytes())
+            head = _HEAD.pack(VERSION, flags, span, *told, *looks, splats, *finer, len(who), *sizes) + who
         else:
             head = struct.pack("<I", len(escapes))
         payloads.append(head + escapes + symbols)
@@ -168,14 +153,14 @@ def encode(
 
 
 def _movers(
-    left: dict[str, F64], levels: dict[str, int], deadzones: dict[str, Sequence[float]]
+    wanted: dict[str, F64], levels: dict[str, int], deadzones: dict[str, Sequence[float]]
 ) -> NDArray[np.bool_] | None:
     """[n] splats of which a level says anything; None where they are most.
 
     Nothing is said where every residual falls into the dead zone, in whatever level.
     """
-    moves = np.zeros(next(iter(left.values())).shape[1], bool)
-    for name, part in left.items():
+    moves = np.zeros(next(iter(wanted.values())).shape[1], bool)
+    for name, part in wanted.items():
         zones = [REFINEMENT ** (LEVELS - 1 - level) * (0.5 + deadzones[name][level]) for level in range(levels[name])]
         if zones:
             moves |= (np.abs(part) >= min(zones)).any(axis=(0, 2))
@@ -202,9 +187,7 @@ def _bounds(given: dict[str, F64]) -> tuple[int, int]:
     return samples - 1, splats
 
 
-def _check_sides(
-    span: int, splats: int, lives: NDArray[np.uint8] | None, fades: NDArray[np.int64] | None, blocks: Blocks | None
-) -> None:
+def _check_sides(span: int, splats: int, lives: NDArray[np.uint8] | None, fades: NDArray[np.int64] | None) -> None:
     if lives is not None and (len(lives) != splats or int(lives.max(initial=0)) > span + 1):
         raise ValueError(f"motion: {len(lives)} lives of up to {lives.max(initial=0)} frames for {splats} splats")
     if fades is not None:
@@ -214,14 +197,16 @@ def _check_sides(
         )
         if not legal or int(np.abs(centres).max(initial=0)) >= 1 << 31:
             raise ValueError(f"motion: {len(fades)} fades for {splats} splats, or widths or centres beyond bounds")
-    if blocks is not None:
-        shape = (span + 1, -(-splats // blocks.size) if blocks.size > 0 else 0, 3)
-        if not 1 <= blocks.size <= MAX_BLOCK or blocks.shifts.shape != shape or blocks.turns.shape != shape:
-            raise ValueError(
-                f"motion: blocks of {blocks.size} splats with {blocks.shifts.shape} shifts, {shape} expected"
-            )
-        if not 0.0 <= blocks.unit <= MAX_UNIT:
-            raise ValueError(f"motion: blocks in units of {blocks.unit} metres, 0 to {MAX_UNIT} expected")
+
+
+def _check_anchors(anchors: Anchors, splats: int, error: type[Exception]) -> None:
+    """Raises ``error``."""
+    if len(anchors) != splats:
+        raise error(f"motion: {splats} splats move, and the looks have {len(anchors)}")
+    try:
+        anchors.check()
+    except ValueError as reason:
+        raise error(f"motion: {reason}") from None
 
 
 def _write_sides(
@@ -239,14 +224,17 @@ def _write_sides(
 class ChunkDecoder:
     """A chunk as far as it has come. Not thread-safe."""
 
-    def __init__(self, payload: bytes | memoryview, *, native: bool | None = None) -> None:
-        """Decode level 0; ``native`` None takes the kernel where there is one. Raises :class:`DecodeError`."""
-        head, rigid, who, escapes, symbols = _sections(payload)
+    def __init__(self, payload: bytes | memoryview, anchors: Anchors, *, native: bool | None = None) -> None:
+        """Decode level 0; ``anchors`` [n] are the looks that move. ``native`` None takes the kernel where there is one.
+
+        Raises :class:`DecodeError`.
+        """
+        head, who, escapes, symbols = _sections(payload)
+        _check_anchors(anchors, head.splats, DecodeError)
         self._native, self._movers = native, _read_movers(head, who)
-        self._trees: tuple[I32 | None, ...] = ()  # [span + 1, movers, c] of positions and of rotations, as far as told
-        self._told = _Told.of(head, head.splats if self._movers is None else len(self._movers))
+        self._trees = _Trees.of(head, anchors, self._movers, native=native)
         reader = SymbolReader(escapes, symbols, native=native)
-        self.chunk, self._read, self._count = self._opened(head, rigid, reader), 1, head.levels
+        self.chunk, self._read, self._count = self._opened(head, reader), 1, max(1, *head.levels)
 
     @property
     def levels(self) -> int:
@@ -269,40 +257,34 @@ class ChunkDecoder:
                 return
             raise DecodeError(f"motion: level {self._read} of {self._count} is too much")
         reader = SymbolReader(*_finer_sections(payload), native=self._native)
-        chunk, told = self.chunk, self._told.copy()
-        more = _read_trees(reader, chunk, self._read, told)
+        trees = self._trees.copy()
+        _read(reader, trees, self._read)
         reader.finish()
-        self._told = told
-        self._trees = tuple(
-            tree if tree is None or finer is None else np.add(tree, finer)
-            for tree, finer in zip(self._trees, more, strict=True)
-        )
-        self.chunk = self._with_trees(chunk)
+        self._trees = trees
+        self.chunk = self._with_trees(self.chunk)
         self._read += 1
 
-    def _opened(self, head: _Head, rigid: memoryview, reader: SymbolReader) -> Chunk:
+    def _opened(self, head: _Head, reader: SymbolReader) -> Chunk:
         n = head.splats
         lives = reader.plain(life_tables(n)) if head.has(LIVES) else None
         if lives is not None and int(lives.max(initial=0)) > head.span + 1:
             raise DecodeError(f"motion: a life of {int(lives.max())} frames in a span of {head.span}")
         fades = _read_fades(reader, head, lives) if head.has(FADES) else None
-        blocks = _read_blocks(head, rigid)
-        curved = head.has(CURVED_MOVES), head.has(CURVED_TURNS)
-        blank = Chunk(head.looks, head.span, n, lives, fades, blocks, None, None, head.has(STARTS), head.finer, curved)
-        self._trees = _read_trees(reader, blank, 0, self._told)
+        blank = Chunk(head.looks, head.span, n, lives, fades, None, None, head.has(STARTS), head.finer, head.curved)
+        _read(reader, self._trees, 0)
         reader.finish()
         return self._with_trees(blank)
 
     def _with_trees(self, chunk: Chunk) -> Chunk:
-        moves, turns = (self._of_all(tree, chunk.splats) for tree in self._trees)
+        moves, turns = (None if part is None else self._of_all(part.values, chunk.splats) for part in self._trees.parts)
         return replace(chunk, moves=moves, turns=turns)
 
-    def _of_all(self, tree: I32 | None, splats: int) -> I32 | None:
-        """``tree`` [span + 1, movers, c] as of all splats [span + 1, n, c]."""
-        if tree is None or self._movers is None:
-            return tree
-        out = np.zeros((len(tree), splats, tree.shape[2]), np.int32)
-        out[:, self._movers] = tree
+    def _of_all(self, samples: I32, splats: int) -> I32:
+        """``samples`` [span + 1, movers, c] as of all splats [span + 1, n, c]."""
+        if self._movers is None:
+            return samples
+        out = np.zeros((len(samples), splats, samples.shape[2]), np.int32)
+        out[:, self._movers] = samples
         return out
 
 
@@ -310,35 +292,49 @@ class ChunkDecoder:
 class _Head:
     flags: int
     span: int
-    levels: int
-    """Levels that say anything."""
+    levels: tuple[int, int]
+    """Levels that say anything of positions and of rotations."""
     looks: tuple[int, int]
     splats: int
-    block: int
     finer: tuple[int, int]
-    unit: float
 
     def has(self, flag: int) -> bool:
         return bool(self.flags & flag)
 
+    @property
+    def curved(self) -> tuple[bool, bool]:
+        """Whether middles of positions and of rotations are told against curves."""
+        return self.has(CURVED_MOVES), self.has(CURVED_TURNS)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Told:
-    """Where a level that was read had residuals; None where there are none."""
-
-    moves: NDArray[np.uint8] | None  # [span + 1, m, 3] of those that move
-    turns: NDArray[np.uint8] | None  # [span + 1, m, 4]
+class _Trees:
+    levels: tuple[int, int]
+    parts: tuple[Samples | None, Samples | None]
+    """Positions and rotations; None where nothing is told of them."""
 
     @staticmethod
-    def of(head: _Head, movers: int) -> _Told:
-        """Nowhere yet."""
-        shape = head.span + 1, movers
-        kinds = ((MOVES, 3), (TURNS, 4))
-        return _Told(*(np.zeros((*shape, parts), np.uint8) if head.has(flag) else None for flag, parts in kinds))
+    def of(head: _Head, anchors: Anchors, movers: NDArray[np.intp] | None, *, native: bool | None) -> _Trees:
+        """Nothing told yet; ``anchors`` [n] are the looks."""
+        if not any(head.levels):
+            return _Trees(head.levels, (None, None))
+        samples = nothing_told(anchors if movers is None else anchors.take(movers), native=native)
 
-    def copy(self) -> _Told:
+        def part(*, turn: bool) -> Samples | None:
+            order = knots(head.span, start=head.has(STARTS), curved=head.curved[turn])
+            return samples(order, turn=turn) if head.levels[turn] else None
+
+        return _Trees(head.levels, (part(turn=False), part(turn=True)))
+
+    def copy(self) -> _Trees:
         """One that changes apart."""
-        return _Told(*(None if part is None else part.copy() for part in (self.moves, self.turns)))
+        moves, turns = (None if part is None else part.copy() for part in self.parts)
+        return _Trees(self.levels, (moves, turns))
+
+    def told_at(self, level: int) -> dict[str, Samples]:
+        """The parts of which ``level`` tells."""
+        named = zip(("positions", "rotations"), self.parts, self.levels, strict=True)
+        return {name: part for name, part, levels in named if part is not None and level < levels}
 
 
 def read_looks(payload: bytes | memoryview) -> tuple[int, int]:
@@ -346,24 +342,24 @@ def read_looks(payload: bytes | memoryview) -> tuple[int, int]:
     return _sections(payload)[0].looks
 
 
-def _sections(payload: bytes | memoryview) -> tuple[_Head, memoryview, memoryview, memoryview, memoryview]:
+def _sections(payload: bytes | memoryview) -> tuple[_Head, memoryview, memoryview, memoryview]:
     view = memoryview(payload)
     if len(view) < _HEAD.size:
         raise DecodeError(f"motion: {len(view)} bytes are too few for a chunk")
-    version, flags, span, levels, frame, tile, splats, block, finer, finer_turns, unit, *sizes = _HEAD.unpack_from(view)
-    bent = (flags & CURVED_MOVES and not flags & MOVES) or (flags & CURVED_TURNS and not flags & TURNS)
-    if version != VERSION or not 1 <= levels <= LEVELS or bent:
-        raise DecodeError(f"motion: version {version}, {levels} levels, flags {flags}; this program reads {VERSION}")
+    version, flags, span, moves, turns, frame, tile, splats, finer, finer_turns, *sizes = _HEAD.unpack_from(view)
+    bent = (flags & CURVED_MOVES and not moves) or (flags & CURVED_TURNS and not turns)
+    if version != VERSION or max(moves, turns) > LEVELS or flags & ~FLAGS or bent:
+        raise DecodeError(
+            f"motion: version {version}, {moves} and {turns} levels, flags {flags}; this program reads {VERSION}"
+        )
     small = splats <= MAX_SPLATS and splats * (span + 1) <= MAX_SAMPLES
-    bounds = 1 <= span <= MAX_SPAN and small and block <= MAX_BLOCK and 0.0 <= unit <= MAX_UNIT
-    bounds = bounds and max(finer, finer_turns) <= MAX_FINER
+    bounds = 1 <= span <= MAX_SPAN and small and max(finer, finer_turns) <= MAX_FINER
     if not bounds or sum(sizes) != len(view) - _HEAD.size:
         raise DecodeError(f"motion: claims a span of {span}, {splats} splats, {sum(sizes)} bytes; beyond bounds")
-    rigid = _HEAD.size + sizes[0]
-    who = rigid + sizes[1]
-    escapes = who + sizes[2]
-    head = _Head(flags, span, levels, (frame, tile), splats, block, (finer, finer_turns), unit)
-    return head, view[_HEAD.size : rigid], view[rigid:who], view[who:escapes], view[escapes:]
+    who = _HEAD.size + sizes[0]
+    escapes = who + sizes[1]
+    head = _Head(flags, span, (moves, turns), (frame, tile), splats, (finer, finer_turns))
+    return head, view[_HEAD.size : who], view[who:escapes], view[escapes:]
 
 
 def _finer_sections(payload: bytes | memoryview) -> tuple[memoryview, memoryview]:
@@ -375,16 +371,16 @@ def _finer_sections(payload: bytes | memoryview) -> tuple[memoryview, memoryview
     return view[4:escapes], view[escapes:]
 
 
-def spent(payloads: Sequence[bytes | memoryview]) -> dict[str, int]:
+def spent(payloads: Sequence[bytes | memoryview], anchors: Anchors) -> dict[str, int]:
     """Bytes by what they tell, of the first ``payloads`` of a chunk. Read by numpy, which takes its time.
 
-    Raises :class:`DecodeError`.
+    ``anchors`` [n] are the looks. Raises :class:`DecodeError`.
     """
-    head, rigid, who, *sections = _sections(payloads[0])
+    head, who, *sections = _sections(payloads[0])
+    _check_anchors(anchors, head.splats, DecodeError)
     movers = _read_movers(head, who)
-    told = _Told.of(head, head.splats if movers is None else len(movers))
-    curved = head.has(CURVED_MOVES), head.has(CURVED_TURNS)
-    out = {"heads and tables": _HEAD.size, "blocks": len(rigid), "movers": len(who), "large numbers": 0}
+    trees = _Trees.of(head, anchors, movers, native=None)
+    out = {"heads and tables": _HEAD.size, "movers": len(who), "large numbers": 0}
     for level, payload in enumerate(payloads):
         escapes, symbols = _finer_sections(payload) if level else sections
         reader, before = SymbolReader(escapes, symbols, native=False), 0
@@ -394,13 +390,18 @@ def spent(payloads: Sequence[bytes | memoryview]) -> dict[str, int]:
             if head.has(FADES):
                 _read_fades(reader, head, lives)
             out["fades"], before = reader.read_bytes - before, reader.read_bytes
-        for i, (name, part) in enumerate((("positions", told.moves), ("rotations", told.turns))):
-            if part is not None:
-                reader.tree(knots(head.span, start=head.has(STARTS), curved=curved[i]), part, turn=i == 1)
+        for name, part in trees.told_at(level).items():
+            reader.tree(part, REFINEMENT ** (LEVELS - 1 - level))
             out[f"{name}, level {level}"], before = reader.read_bytes - before, reader.read_bytes
         out["large numbers"] += len(escapes)
         out["heads and tables"] += 4 * (level > 0) + len(symbols) - reader.read_bytes
     return out
+
+
+def _read(reader: SymbolReader, trees: _Trees, level: int) -> None:
+    """Take ``trees`` on by ``level``."""
+    for part in trees.told_at(level).values():
+        reader.tree(part, REFINEMENT ** (LEVELS - 1 - level))
 
 
 def _read_movers(head: _Head, who: memoryview) -> NDArray[np.intp] | None:
@@ -411,17 +412,6 @@ def _read_movers(head: _Head, who: memoryview) -> NDArray[np.intp] | None:
         return None
     raw = unsqueeze(who, -(-head.splats // 8), "motion: who moves")
     return np.flatnonzero(np.unpackbits(np.frombuffer(raw, np.uint8), count=head.splats))
-
-
-def _read_trees(reader: SymbolReader, chunk: Chunk, level: int, told: _Told) -> tuple[I32 | None, I32 | None]:
-    """What ``level`` adds to the positions and rotations of ``chunk``, where it has them."""
-    unit = np.int32(REFINEMENT ** (LEVELS - 1 - level))
-    trees: list[I32 | None] = [None, None]
-    for i, part in enumerate((told.moves, told.turns)):
-        if part is not None:
-            tree = reader.tree(knots(chunk.span, start=chunk.starts, curved=chunk.curved[i]), part, turn=i == 1)
-            trees[i] = tree if unit == 1 else np.multiply(tree, unit, out=tree)
-    return trees[0], trees[1]
 
 
 def _read_fades(reader: SymbolReader, head: _Head, lives: NDArray[np.uint8] | None) -> F32:
@@ -445,28 +435,3 @@ def middle_of_life(span: int, lives: NDArray[np.uint8] | None, rows: NDArray[np.
         return np.full(len(rows), span / 2)
     middle: F64 = (lives[rows].astype(np.float64) - 1) / 2
     return middle
-
-
-def _blocks_bytes(blocks: Blocks | None) -> bytes:
-    """Differences from sample to sample, as byte planes."""
-    if blocks is None:
-        return b""
-    both = np.concatenate([blocks.shifts, blocks.turns], axis=2)
-    steps = np.diff(both, axis=0, prepend=np.zeros((1, *both.shape[1:]), np.int32))
-    columns = np.ascontiguousarray(steps.transpose(2, 1, 0)).astype("<i4")
-    folded = ((columns << 1) ^ (columns >> 31)).astype("<u4")
-    return squeeze(np.ascontiguousarray(folded.view(np.uint8).reshape(-1, 4).T).tobytes())
-
-
-def _read_blocks(head: _Head, rigid: memoryview) -> Blocks | None:
-    if not head.block:
-        if len(rigid):
-            raise DecodeError("motion: has blocks of no size")
-        return None
-    count = -(-head.splats // head.block)
-    shape = (6, count, head.span + 1)
-    raw = np.frombuffer(unsqueeze(rigid, 4 * 6 * count * (head.span + 1), "motion: blocks"), np.uint8)
-    folded = np.ascontiguousarray(raw.reshape(4, -1).T).view("<u4")[:, 0]
-    steps = ((folded >> 1) ^ (np.uint32(0) - (folded & 1))).view(np.int32).reshape(shape).transpose(2, 1, 0)
-    both = np.cumsum(steps, axis=0, dtype=np.int32)
-    return Blocks(head.block, head.unit, np.ascontiguousarray(both[:, :, :3]), np.ascontiguousarray(both[:, :, 3:]))

@@ -116,9 +116,9 @@ def _rise(samples: I32, knot: Knot, at: int) -> NDArray[np.int64]:
     return rise * (at - knot.left) // (knot.right - knot.left)
 
 
-def quantised(wanted: F64, guess: I32, deadzone: F64 | float) -> I32:
-    """Residuals of ``wanted`` (units) against a ``guess`` (fixed point); 0 within half a unit plus ``deadzone``."""
-    off = wanted - guess / (1 << FRACTION_BITS)
+def quantised(wanted: F64, guess: F64, deadzone: F64 | float) -> I32:
+    """Residuals of ``wanted`` against a ``guess``, both in units; 0 within half a unit plus ``deadzone``."""
+    off = wanted - guess
     size = np.floor(np.abs(off) + (0.5 - deadzone))
     residual: I32 = (np.sign(off) * size).astype(np.int32)
     return residual

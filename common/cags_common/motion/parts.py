@@ -17,12 +17,10 @@ MOST_IN_MOTION = 0.875
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InMotion:
-    """A chunk of some splats of another one. Blocks stay whole, so it may speak of more than are in motion."""
+    """A chunk of some splats of another one: those in motion."""
 
     splats: NDArray[np.intp]
-    """[m] of the whole chunk, rising: those in motion."""
-    taken: NDArray[np.intp]
-    """[k] of the whole chunk, rising: those that :attr:`chunk` speaks of, all of ``splats`` among them."""
+    """[m] of the whole chunk, rising."""
     chunk: Chunk
 
 
@@ -31,8 +29,8 @@ _made: WeakKeyDictionary[Chunk, InMotion | None] = WeakKeyDictionary()
 
 
 def in_motion(chunk: Chunk) -> InMotion | None:
-    """The splats that may be elsewhere at another time of the span: their samples or those of their blocks differ, they
-    fade, or their lives end within it. All others get the same bits at any time. None: most of them are in motion.
+    """The splats that may be elsewhere at another time of the span: their samples differ, they fade, or their lives
+    end within it. All others get the same bits at any time. None: most of them are in motion.
     Worked out once a chunk.
     """
     if chunk not in _made:
@@ -46,9 +44,6 @@ def _in_motion(chunk: Chunk) -> InMotion | None:
         found |= np.isfinite(chunk.fades[:, 1])
     if chunk.lives is not None:
         found |= chunk.lives <= chunk.span
-    if chunk.blocks is not None:
-        moving = [_varies(part, part.shape[1]) for part in (chunk.blocks.shifts, chunk.blocks.turns)]
-        found |= (moving[0] | moving[1])[np.arange(chunk.splats) // chunk.blocks.size]
     for part in (chunk.moves, chunk.turns):
         if part is not None and not _most(found):
             found |= _varies(part, chunk.splats)
@@ -66,14 +61,7 @@ def _varies(samples: I32, count: int) -> NDArray[np.bool_]:
 
 
 def _part(chunk: Chunk, splats: NDArray[np.intp]) -> InMotion:
-    blocks, taken = chunk.blocks, splats
-    if blocks is not None:
-        kept = np.unique(splats // blocks.size)
-        taken = (kept[:, None] * blocks.size + np.arange(blocks.size)).ravel()
-        taken = taken[taken < chunk.splats]
-        blocks = replace(blocks, shifts=blocks.shifts.take(kept, axis=1), turns=blocks.turns.take(kept, axis=1))
-    lives = None if chunk.lives is None else chunk.lives[taken]
-    fades = None if chunk.fades is None else chunk.fades[taken]
-    moves, turns = (None if part is None else part.take(taken, axis=1) for part in (chunk.moves, chunk.turns))
-    some = replace(chunk, splats=len(taken), lives=lives, fades=fades, blocks=blocks, moves=moves, turns=turns)
-    return InMotion(splats, taken, some)
+    lives = None if chunk.lives is None else chunk.lives[splats]
+    fades = None if chunk.fades is None else chunk.fades[splats]
+    moves, turns = (None if part is None else part.take(splats, axis=1) for part in (chunk.moves, chunk.turns))
+    return InMotion(splats, replace(chunk, splats=len(splats), lives=lives, fades=fades, moves=moves, turns=turns))

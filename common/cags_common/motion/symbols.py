@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -13,9 +15,10 @@ import cags_kernels
 from cags_common.coding import rans
 from cags_common.coding.packing import squeeze, unsqueeze
 from cags_common.errors import DecodeError
-from cags_common.geometry import F64
-from cags_common.motion.contexts import TOLD, U8, Contexts, class_tables, runs
+from cags_common.geometry import F32, F64
+from cags_common.motion.contexts import TOLD, U8, Code, Contexts, Row, class_tables, runs
 from cags_common.motion.knots import FRACTION_BITS, I32, Knot, predicted, quantised
+from cags_common.motion.neighbours import Anchors, Neighbours, relative
 
 ESCAPE = 254
 """Signed numbers from here on, folded, stand beside the symbols in four bytes."""
@@ -52,6 +55,65 @@ def fade_tables(span: int, splats: int, lives: U8 | None) -> tuple[U8, U8]:
     return widths.astype(np.uint8), (CENTRE + ends).astype(np.uint8)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Tree:
+    """How the positions or rotations of a chunk are told."""
+
+    order: tuple[Knot, ...]
+    near: Neighbours
+    units: F32  # [n] in parts of the largest
+    turn: bool
+    """Whether they are rotations, whose part 0 is real."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """Positions or rotations of the splats that move, as far as told; every level changes them."""
+
+    tree: Tree
+    values: I32  # [span + 1, n, c] in 1/64 of the finest unit
+    told: U8  # [span + 1, n, c] 1 where a level had a residual
+
+    def copy(self) -> Samples:
+        """One that changes apart."""
+        return Samples(self.tree, self.values.copy(), self.told.copy())
+
+    def walk(self, unit: int, coded: Callable[[Knot, Row], Code]) -> None:
+        """Take the samples on by a level of units of ``unit``, by the residuals that ``coded`` codes for each knot."""
+        tree = self.tree
+        contexts = Contexts(tree.near, tree.units, self.values.shape[2], turn=tree.turn)
+        for knot in tree.order:
+            before, told = self.values[knot.at].copy(), self.told[knot.at] != 0
+            row = Row(predicted(self.values, knot), before, told, unit << FRACTION_BITS)
+            self.values[knot.at], residuals = contexts.walk(knot, row, coded(knot, row))
+            self.told[knot.at] |= residuals != 0
+
+    def kernel(self, unit: int) -> Any:
+        """A level of units of ``unit``, as the kernel takes it."""
+        from cags_kernels import motion
+
+        tree, (samples, splats, _) = self.tree, self.values.shape
+        first = TURN if tree.turn else MOVE
+        knots, near = _knot_rows(tree.order), tree.near
+        numbers = samples - 1, splats, tree.turn, unit
+        return motion.Tree(*numbers, knots, class_tables(), first, REAL, near.rows, near.fits, tree.units)
+
+
+def nothing_told(anchors: Anchors, *, native: bool | None = None) -> Callable[..., Samples]:
+    """Of an ``order`` of knots and whether to ``turn``: samples of the splats of ``anchors`` of which nothing is told.
+
+    ``native`` None takes the kernel where there is one.
+    """
+    near = Neighbours.of(anchors, native=native)
+
+    def samples(order: tuple[Knot, ...], *, turn: bool) -> Samples:
+        units = relative(anchors.turns if turn else anchors.moves)
+        shape = max(knot.at for knot in order) + 1, len(anchors), 4 if turn else 3
+        return Samples(Tree(order, near, units, turn), np.zeros(shape, np.int32), np.zeros(shape, np.uint8))
+
+    return samples
+
+
 class SymbolWriter:
     """Collects the symbols of one level. ``native`` None takes the kernel where there is one, to the same bytes."""
 
@@ -79,39 +141,29 @@ class SymbolWriter:
         self._symbols.append(symbols)
         self._runs.append(np.atleast_1d(np.asarray(lengths, np.int64)))
 
-    def tree(self, order: tuple[Knot, ...], left: F64, told: U8, unit: int, deadzone: float, *, turn: bool) -> None:
-        """What is ``left`` [span + 1, n, c] to be said, in finest units, in units of ``unit``; takes it off there.
+    def tree(self, part: Samples, wanted: F64, unit: int, deadzone: float) -> None:
+        """Take the values of ``part`` closer to those ``wanted``, in finest units, by residuals in units of ``unit``.
 
-        A residual within half a unit, and ``deadzone`` units where none was told before, is zero. ``told``
-        [span + 1, n, c] is 1 where a coarser level had a residual, and becomes so where this one has.
+        A residual within half a unit, and ``deadzone`` units where none was told before, is zero.
         """
-        splats, parts = left.shape[1:]
         if self._native:
             from cags_kernels import motion
 
-            tables, symbols, escapes = motion.encode_tree(
-                kernel_tree(order, left.shape, turn=turn), left, told, unit, deadzone
-            )
+            tables, symbols, escapes = motion.encode_tree(part.kernel(unit), wanted, part.values, part.told, deadzone)
             self._escapes.append(escapes)
-            self._add(tables, symbols, np.tile(runs(splats, parts), len(order)))
+            self._add(tables, symbols, np.tile(runs(*part.values.shape[1:]), len(part.tree.order)))
             return
-        contexts, samples = Contexts(splats, parts, turn=turn), np.zeros(left.shape, np.int32)
-        for knot in order:
-            apart = told[knot.at] != 0
-            guess = np.where(apart, np.int32(0), predicted(samples, knot))
-            residual = quantised(left[knot.at] / unit, guess, np.where(apart, 0.0, deadzone))
 
-            def code(tables: U8, flips: Any, rows: Any, part: int, residual: I32 = residual) -> I32:
-                values: I32 = residual[rows, part]
-                self.signed(
-                    first_table(turn, part) + tables, values if flips is None else np.where(flips, -values, values)
-                )
+        def told_by(wanted: F64, zone: F64) -> Code:
+            def code(tables: U8, guess: I32, fixed: int, rows: NDArray[np.intp], at: int) -> I32:
+                goal = wanted[rows, at] * ((1 << FRACTION_BITS) / fixed)
+                values = quantised(goal, guess / fixed, zone[rows, at])
+                self.signed(first_table(part.tree.turn, at) + tables, values)
                 return values
 
-            contexts.walk(knot, apart, code)
-            samples[knot.at] = guess + (residual << FRACTION_BITS)
-            told[knot.at] |= residual != 0
-        left -= samples * (unit / (1 << FRACTION_BITS))
+            return code
+
+        part.walk(unit, lambda knot, row: told_by(wanted[knot.at], np.where(row.told, 0.0, deadzone)))
 
     def to_bytes(self) -> tuple[bytes, bytes]:
         """The large numbers, and the symbols."""
@@ -124,14 +176,6 @@ class SymbolWriter:
 def first_table(turn: bool, part: int) -> np.uint8:
     """The table of class 0 of one part of a tree."""
     return np.uint8((REAL if part == 0 else TURN) if turn else MOVE)
-
-
-def kernel_tree(order: tuple[Knot, ...], shape: tuple[int, ...], *, turn: bool) -> Any:
-    """A tree as the kernel takes it."""
-    from cags_kernels import motion
-
-    span, splats, knots = shape[0] - 1, shape[1], _knot_rows(order)
-    return motion.Tree(span, splats, turn, knots, class_tables(), TURN if turn else MOVE, REAL)
 
 
 @cache
@@ -196,28 +240,19 @@ class SymbolReader:
             self._at += len(large)
         return values
 
-    def tree(self, order: tuple[Knot, ...], told: U8, *, turn: bool) -> I32:
-        """Samples [span + 1, n, c] of one level, in 1/64 of its unit. ``told`` [span + 1, n, c] is 1 where a coarser
-        level had a residual, and becomes so where this one has.
-        """
-        shape = told.shape
+    def tree(self, part: Samples, unit: int) -> None:
+        """Take ``part`` on by one level, of units of ``unit``."""
         if isinstance(self._symbols, rans.NativeDecoder):
             with rans.refused():
-                kernel, tree = self._symbols.kernel, kernel_tree(order, shape, turn=turn)
-                samples, self._at = kernel.tree(tree, told, self._escapes, self._at)
-            return samples
-        contexts, samples = Contexts(*shape[1:], turn=turn), np.zeros(shape, np.int32)
+                tree, kernel = part.kernel(unit), self._symbols.kernel
+                self._at = kernel.tree(tree, part.values, part.told, self._escapes, self._at)
+            return
 
-        def code(tables: U8, flips: Any, rows: Any, part: int) -> I32:
-            values = self.signed(first_table(turn, part) + tables)
-            return values if flips is None else np.where(flips, -values, values)
+        def code(tables: U8, guess: I32, fixed: int, rows: NDArray[np.intp], at: int) -> I32:
+            del guess, fixed, rows
+            return self.signed(first_table(part.tree.turn, at) + tables)
 
-        for knot in order:
-            apart = told[knot.at] != 0
-            residual = contexts.walk(knot, apart, code)
-            samples[knot.at] = np.where(apart, np.int32(0), predicted(samples, knot)) + (residual << FRACTION_BITS)
-            told[knot.at] |= residual != 0
-        return samples
+        part.walk(unit, lambda knot, row: code)
 
     def finish(self) -> None:
         """Check that everything was read."""

@@ -10,9 +10,10 @@ import math
 import threading
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import TypeAlias
 
-from cags_common.bundle.codecs import MotionDecoder
+from cags_common.bundle.codecs import MotionDecoder, TileDecoder
 from cags_common.errors import DecodeError
 from cags_common.motion.chunk import LEVELS as MOTION_LEVELS
 from cags_common.splats import Ids
@@ -29,7 +30,7 @@ from cags_common.store.motions import (
 )
 from cags_common.store.reorder_buffer import WaitingLayers
 from cags_common.store.shown import StoredLooks
-from cags_common.store.tile_decode import Arrival, First, Key, Opened, Opener, OpenMotion, OpenUpdate
+from cags_common.store.tile_decode import Arrival, First, Key, Opened, Opener, OpenMotion, OpenTile, OpenUpdate
 from cags_common.store.versions import Versions
 from cags_common.tiles.inventory import InventoryEntry
 
@@ -171,16 +172,34 @@ class GofTiles:
 
     def _open_ahead(self, arrivals: Sequence[Arrival]) -> Ahead:
         """Open the new tiles among the arrivals together, except motion of looks that have not arrived."""
-        coming = {arrival.key for arrival in arrivals if arrival.from_lod == 0}
         firsts: dict[Key, First] = {}
+        moving: dict[Key, tuple[First, Key]] = {}
         for arrival in arrivals:
             if not arrival.payloads or not self._opens(arrival.from_lod) or arrival.key in self._tiles:
                 continue
-            looks = self._looks_of(arrival.key, arrival.from_lod, arrival.payloads[0])
-            if looks is None or looks in self._tiles or looks in coming:
-                firsts.setdefault(arrival.key, First(arrival.key, arrival.from_lod, arrival.payloads[0]))
+            first = First(arrival.key, arrival.from_lod, arrival.payloads[0])
+            looks = self._looks_of(first.key, first.lod, first.payload)
+            if looks is None:
+                firsts.setdefault(first.key, first)
+            else:
+                moving.setdefault(first.key, (first, looks))
+        ahead = self._opened_together(firsts)
+        on_looks = {key: (first, self._decoder_of(looks, ahead)) for key, (first, looks) in moving.items()}
+        return ahead | self._opened_together(
+            {key: replace(first, looks=looks) for key, (first, looks) in on_looks.items() if looks is not None}
+        )
+
+    def _opened_together(self, firsts: Mapping[Key, First]) -> Ahead:
         opened = self._opener.opened(list(firsts.values()))
         return {key: (first.payload, tile) for (key, first), tile in zip(firsts.items(), opened, strict=True)}
+
+    def _decoder_of(self, looks: Key, ahead: Ahead) -> TileDecoder | None:
+        """A tile of looks that is held or opened ``ahead``; None where there is none."""
+        held = self._tiles.get(looks)
+        if isinstance(held, StoredLooks):
+            return held.versions.newest
+        _, opened = ahead.get(looks, (None, None))
+        return opened.state if isinstance(opened, OpenTile) else None
 
     def _opens(self, lod: int) -> bool:
         """Whether a payload of ``lod`` opens a new tile: it is a base layer or a whole tile."""
@@ -201,9 +220,10 @@ class GofTiles:
             opened = self._taken(ahead, key, layers[0][1])
             if opened is None:
                 opened = self._opened(key, *layers[0])
-            held = self._take(key, layers[0][1], opened, ahead)
-            if held is None:
+            if opened is None:
+                self._tiles[key] = None
                 return
+            held = self._take(key, layers[0][1], opened, ahead)
             self._touched[key] = held
             layers = layers[1:] + self._waiting.take(key)
         for lod, payload in layers:
@@ -217,8 +237,16 @@ class GofTiles:
             return None
         return ahead.pop(key)[1]
 
-    def _opened(self, key: Key, lod: int, payload: memoryview) -> Opened | DecodeError:
-        return self._opener.opened([First(key, lod, payload)])[0]
+    def _opened(self, key: Key, lod: int, payload: memoryview) -> Opened | DecodeError | None:
+        """None where the looks that it moves are not kept."""
+        looks, decoder = self._looks_of(key, lod, payload), None
+        if looks is not None:
+            decoder = self._decoder_of(looks, {})
+            if decoder is None and self._tiles.get(looks) is None:
+                return None
+            if decoder is None:
+                return DecodeError(f"{named(key)}: moves {named(looks)}, which holds no splats that move by then")
+        return self._opener.opened([First(key, lod, payload, decoder)])[0]
 
     def _add_layer(self, held: StoredTile, lod: int, payload: memoryview) -> bool:
         versions = held.versions
@@ -254,8 +282,8 @@ class GofTiles:
             self._motions.give_up(gone)
             self._dropped.append(InventoryEntry(*gone, 0))
 
-    def _take(self, key: Key, payload: memoryview, tile: Opened | DecodeError, ahead: Ahead) -> StoredTile | None:
-        """A new tile; None if the looks that it moves are not kept. Raises :class:`DecodeError`."""
+    def _take(self, key: Key, payload: memoryview, tile: Opened | DecodeError, ahead: Ahead) -> StoredTile:
+        """A new tile. Raises :class:`DecodeError`."""
         if isinstance(tile, DecodeError):
             raise tile
         if len(self._tiles) >= MAX_TILES_PER_GOF:
@@ -280,12 +308,9 @@ class GofTiles:
                 except DecodeError as error:
                     self._errors.append(error)
 
-    def _take_motion(self, key: Key, payload: memoryview, tile: OpenMotion) -> StoredMotion | None:
+    def _take_motion(self, key: Key, payload: memoryview, tile: OpenMotion) -> StoredMotion:
         state = tile.state
         looks = self._tiles.get(state.looks)
-        if looks is None and state.looks in self._tiles:
-            self._tiles[key] = None
-            return None
         if not self._in_motion or not isinstance(looks, StoredLooks) or looks.key[0] > key[0]:
             raise DecodeError(f"{named(key)}: moves {named(state.looks)}, which holds no splats that move by then")
         if len(state) != len(looks.versions.newest):
@@ -383,7 +408,10 @@ class GofTiles:
                 held.versions = versions
 
     def _decoded_again(self, held: StoredMotion) -> Versions[MotionDecoder] | DecodeError:
-        return held.opened(self._opener, self._floor)
+        looks = self._decoder_of(held.looks, {})
+        if looks is None:
+            return DecodeError(f"{named(held.key)}: moves {named(held.looks)}, which is not kept")
+        return held.opened(self._opener, looks, self._floor)
 
     def _is_followed(self, held: StoredMotion) -> bool:
         """Whether a later chunk of the same looks has replaced it."""

@@ -53,9 +53,12 @@ class StoredMotion:
         """Number of held levels, from the lowest on without a gap."""
         return next((level for level in range(LEVELS) if level not in self.payloads), LEVELS)
 
-    def opened(self, opener: Opener, floor: float) -> Versions[MotionDecoder] | DecodeError:
-        """Decode the payloads again, except damaged levels; everything before mark ``floor`` becomes one version."""
-        first, *_ = opener.opened([First(self.key, 0, memoryview(self.payloads[0].data))])
+    def opened(self, opener: Opener, looks: TileDecoder, floor: float) -> Versions[MotionDecoder] | DecodeError:
+        """Decode the payloads again, except damaged levels; everything before mark ``floor`` becomes one version.
+
+        ``looks`` are those that move.
+        """
+        first, *_ = opener.opened([First(self.key, 0, memoryview(self.payloads[0].data), looks)])
         if isinstance(first, DecodeError):
             return first
         assert isinstance(first, OpenMotion)

@@ -18,6 +18,7 @@ from cags_common.bundle.codecs import (
     TileCodec,
     TileDecoder,
     UpdateDecoder,
+    anchors_of,
     dequantise_tiles,
 )
 from cags_common.errors import DecodeError
@@ -57,6 +58,8 @@ class First:
     key: Key
     lod: int
     payload: memoryview
+    looks: TileDecoder | None = None
+    """What a tile of motion moves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,9 +124,9 @@ class Opener(Protocol):
         ...
 
 
-def open_tile(codec: TileCodec, payload: memoryview) -> Opened:
+def open_tile(codec: TileCodec, first: First) -> Opened:
     """Decode the payload of LoD 0. Raises :class:`DecodeError`."""
-    state: AnyTile = codec.open_tile(payload)
+    state: AnyTile = codec.open_tile(first.payload, None if first.looks is None else anchors_of(first.looks))
     if isinstance(state, MotionTile):
         return OpenMotion(state)
     if isinstance(state, UpdateState):
@@ -159,13 +162,9 @@ class TileOpener:
     def _enter(self) -> None:
         self._inside.pool = True
 
-    def open(self, payloads: Sequence[memoryview]) -> list[Opened | DecodeError]:
-        """The decoded LoD 0 payloads, or the error of each."""
-        return self.run(self._try, payloads)
-
     def opened(self, firsts: Sequence[First]) -> list[Opened | DecodeError]:
         """A decoder for each tile, or why it cannot be read."""
-        return self.open([first.payload for first in firsts])
+        return self.run(self._try, firsts)
 
     def looks_of(self, first: First) -> Key | None:
         """The looks that a tile of motion moves; None of other kinds, and where that cannot be read."""
@@ -197,10 +196,10 @@ class TileOpener:
         """All splats of distinct ``tiles``, in order."""
         return dequantise_tiles(tiles, sh_degree, self._pool.map if self._pool else map)
 
-    def _try(self, payload: memoryview) -> Opened | DecodeError:
+    def _try(self, first: First) -> Opened | DecodeError:
         try:
             assert self.codec is not None, "tiles came before the codec that reads them"
-            return open_tile(self.codec, payload)
+            return open_tile(self.codec, first)
         except DecodeError as error:
             return error
 

@@ -47,6 +47,8 @@ def _motion(reader: BundleReader, chunks: list[tuple[int, TileEntry]]) -> Counte
     for at in sorted(range(len(chunks)), key=lambda at: -sizes[at])[:MOST_CHUNKS]:
         frame, tile = chunks[at]
         levels = [lod for lod, size in enumerate(tile.lod_bytes) if size]
-        judged.update(spent([reader.payload(frame, tile.tile, lod) for lod in levels]))
+        assert tile.looks is not None
+        payloads = [reader.payload(frame, tile.tile, lod) for lod in levels]
+        judged.update(spent(payloads, reader.anchors(*tile.looks)))
     more = sum(sizes) / max(judged.total(), 1)
     return Counter({name: round(size * more) for name, size in judged.items()})

@@ -1,1 +1,1 @@
-"""Motion of splats, the encoder's side: trails over frames, rigid blocks, fades, and chunks of all that."""
+"""Motion of splats, the encoder's side: trails over frames, fades, and chunks of all that."""

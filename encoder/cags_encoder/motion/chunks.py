@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,19 +10,16 @@ from numpy.typing import NDArray
 from cags_common.bundle import TilePayloads
 from cags_common.geometry import F32, F64
 from cags_common.motion import chunk
-from cags_common.motion.apply import Steps, product
-from cags_common.motion.chunk import DEADZONES, LEVELS, MAX_FINER, REFINEMENT, Blocks
-from cags_common.motion.knots import knots
-from cags_common.motion.symbols import SymbolWriter
+from cags_common.motion.apply import Steps
+from cags_common.motion.chunk import DEADZONES, LEVELS, MAX_FINER, REFINEMENT
+from cags_common.motion.knots import FRACTION_BITS, knots
+from cags_common.motion.neighbours import Anchors
+from cags_common.motion.symbols import Samples, SymbolWriter, nothing_told
 from cags_common.tiles.kinds import TileKind
-from cags_encoder.motion.rigid import carried, rigid_blocks
 from cags_encoder.motion.smoothing import smoothed
 from cags_encoder.motion.tolerance import Tolerance, Tolerances
-from cags_encoder.motion.turns import CONJUGATE, relative_turns
+from cags_encoder.motion.turns import relative_turns
 from cags_encoder.tiling import corners
-
-BLOCKS = (128, 32)
-"""Sizes of blocks of splats that share a rigid motion, to which their residuals are relative."""
 
 STRAIGHT = 1.0
 """A trajectory within this many finest units of a line is coded as the line."""
@@ -36,8 +33,8 @@ MOST_MOVED, MOST_TURNED = 1.0, 3.0
 ROUND = 1.05
 """Ratio of a splat's longest to its shortest axis below which its rotation is invisible."""
 
-JUDGED = 512
-"""Number of splats from which a chunk's accuracy is determined."""
+JUDGED, RUN = 1024, 128
+"""Number of splats from which a chunk's accuracy is determined, in runs of neighbours."""
 
 LEAST_UNITS = 0.5
 """Smaller residuals round to zero."""
@@ -46,6 +43,9 @@ MOST_UNITS = float(1 << 23)
 """Largest residual, in finest units. Splats do not get further from their looks, because they count as others first
 (:data:`cags_encoder.tracks.placing.FARTHEST`); lines that continue the motion of splats that have ended may.
 """
+
+ZONES = (0.2, 0.1, 0.0), (0.2, 0.1)
+"""Dead zones of the base and of the last level that are tried before units are halved, from the fewest bytes on."""
 
 BASE_LEVELS = 3
 """Levels from the base on: 1, 1/4 and 1/16 of a standard deviation, halved together as often as a chunk needs."""
@@ -77,6 +77,10 @@ class TrackSpan:
         """Number of frames after the first."""
         return len(self.means) - 1
 
+    def course(self, values: F64, *, turn: bool) -> Course:
+        """``values`` [span + 1, n, c] of all splats, to be told."""
+        return Course(values, Anchors(self.anchors, self.steps.moves, self.steps.turns), self.starts, turn)
+
 
 @dataclass(frozen=True)
 class Exactness:
@@ -88,6 +92,8 @@ class Exactness:
     """Number of levels that are not empty."""
     coarse: bool = False
     """Whether level 0 is coarser than the base."""
+    zones: tuple[float, ...] = DEADZONES[:BASE_LEVELS]
+    """Dead zones of the levels from the base on."""
 
     @property
     def step(self) -> int:
@@ -97,7 +103,7 @@ class Exactness:
     @property
     def deadzones(self) -> tuple[float, ...]:
         """Dead zone of each level."""
-        return (DEADZONES[0], *DEADZONES[:-1]) if self.coarse else DEADZONES
+        return (DEADZONES[0], *self.zones) if self.coarse else (*self.zones, DEADZONES[-1])
 
     def scaled(self, values: F64) -> F64:
         """``values``, given in the tile's units, in units of the last level that is not empty."""
@@ -106,56 +112,90 @@ class Exactness:
         return out
 
 
-def exactness(values: F64, present: NDArray[np.bool_], tolerance: Tolerance, *, starts: bool, turn: bool) -> Exactness:
-    """The accuracy for ``values`` [frames, n, c], in the tile's units, whose errors are within ``tolerance``.
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Positions or rotations of some splats, to be told."""
+
+    values: F64  # [frames, n, c] less those of the looks
+    anchors: Anchors  # [n]
+    starts: bool
+    turn: bool
+
+    def take(self, rows: NDArray[np.intp]) -> Course:
+        """Those of ``rows``."""
+        return replace(self, values=np.ascontiguousarray(self.values[:, rows]), anchors=self.anchors.take(rows))
+
+    def samples(self, *, curved: bool = False) -> Samples:
+        """Nothing told of it yet."""
+        order = knots(len(self.values) - 1, start=self.starts, curved=curved)
+        return nothing_told(self.anchors)(order, turn=self.turn)
+
+
+def some(rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    """About :data:`JUDGED` of ``rows``, in runs of neighbours, which predict each other."""
+    every = max(1, len(rows) // JUDGED)
+    chosen: NDArray[np.intp] = rows[np.arange(len(rows)) // RUN % every == 0]
+    return chosen
+
+
+def exactness(course: Course, present: NDArray[np.bool_], tolerance: Tolerance) -> Exactness:
+    """The accuracy for ``course``, in the tile's units, whose errors are within ``tolerance`` where ``present``.
 
     The base is level 0, or level 1 if it is so exact that a coarser level is worth having.
     """
-    largest = float(np.abs(values).max(where=present[:, :, None], initial=1.0))
-    rows = np.flatnonzero(present.any(axis=0))
-    rows = rows[:: max(1, len(rows) // JUDGED)]
-    values, present = values[:, rows], present[:, rows]
+    largest = float(np.abs(course.values).max(where=present[:, :, None], initial=1.0))
+    rows = some(np.flatnonzero(present.any(axis=0)))
+    judged, present = course.take(rows), present[:, rows]
+    told, values = judged.samples(), judged.values
     most = int(np.clip(np.log2(MOST_UNITS / largest) - COARSE, 0, MAX_FINER - COARSE))
 
-    def error(finer: int, level: int) -> float:
+    def error(finer: int, level: int, zone: float) -> float:
         """With the base alone (0), or so many levels more."""
-        left = np.ascontiguousarray(np.clip(values, -MOST_UNITS, MOST_UNITS) * 2.0**finer)
-        order, apart = knots(len(values) - 1, start=starts), np.zeros(values.shape, np.uint8)
-        SymbolWriter().tree(order, left, apart, REFINEMENT ** (BASE_LEVELS - 1 - level), DEADZONES[level], turn=turn)
-        off: F64 = left[present] * 2.0**-finer
+        wanted, copy = np.clip(values, -MOST_UNITS, MOST_UNITS) * 2.0**finer, told.copy()
+        SymbolWriter().tree(copy, wanted, REFINEMENT ** (BASE_LEVELS - 1 - level), zone)
+        off: F64 = (wanted - copy.values / (1 << FRACTION_BITS))[present] * 2.0**-finer
         return float(np.sqrt(np.square(off).mean())) if off.size else 0.0
 
-    finer = next((finer for finer in range(most) if error(finer, 0) <= tolerance.base), most)
-    coarse = finer >= COARSE
+    def enough(finer: int, level: int, limit: float) -> float | None:
+        """The largest dead zone of ``level`` whose error is within the ``limit``; None if none is."""
+        return next((zone for zone in ZONES[level > 0] if error(finer, level, zone) <= limit), None)
 
-    def found(levels: int) -> Exactness:
-        return Exactness(finer, levels + 1, coarse) if coarse else Exactness(finer + COARSE, levels)
+    finer = next((finer for finer in range(most) if enough(finer, 0, tolerance.base) is not None), most)
+    coarse = finer >= COARSE
+    base = enough(finer, 0, tolerance.base) or 0.0
+
+    def found(levels: int, last: float = DEADZONES[BASE_LEVELS - 1]) -> Exactness:
+        zones = base, DEADZONES[1], last
+        return (
+            Exactness(finer, levels + 1, coarse, zones) if coarse else Exactness(finer + COARSE, levels, False, zones)
+        )
 
     for level in range(BASE_LEVELS - 1):
-        if error(finer, level) <= tolerance.spare:
+        if error(finer, level, DEADZONES[level]) <= tolerance.spare:
             return found(level + 1)
-    while finer < most and error(finer, BASE_LEVELS - 1) > tolerance.top:
+    last = enough(finer, BASE_LEVELS - 1, tolerance.top)
+    while finer < most and last is None:
         finer += 1
-    return found(BASE_LEVELS)
+        last = enough(finer, BASE_LEVELS - 1, tolerance.top)
+    base = enough(finer, 0, tolerance.base) or 0.0
+    return found(BASE_LEVELS, ZONES[1][-1] if last is None else last)
 
 
-def curved(values: F64 | None, exact: Exactness, *, starts: bool, turn: bool) -> bool:
-    """Whether coding middles against curves takes fewer bytes than against lines for ``values`` [frames, n, c].
+def curved(course: Course, exact: Exactness) -> bool:
+    """Whether coding middles against curves takes fewer bytes than against lines for ``course``.
 
     Curves pass through more samples and so amplify noise. Determined from some splats, with a single level.
     """
-    if values is None or len(values) < 4 or not exact.told:
+    if len(course.values) < 4 or not exact.told:
         return False
-    rows = np.flatnonzero((values != 0).any(axis=(0, 2)))
-    some = np.ascontiguousarray(values[:, rows[:: max(1, len(rows) // JUDGED)]])
+    judged = course.take(some(np.flatnonzero((course.values != 0).any(axis=(0, 2)))))
 
     def size(bent: bool) -> int:
-        writer, apart = SymbolWriter(), np.zeros(some.shape, np.uint8)
-        order = knots(len(values) - 1, start=starts, curved=bent)
-        writer.tree(order, some.copy(), apart, exact.step, exact.deadzones[exact.told - 1], turn=turn)
+        writer = SymbolWriter()
+        writer.tree(judged.samples(curved=bent), judged.values, exact.step, exact.deadzones[exact.told - 1])
         return sum(map(len, writer.to_bytes()))
 
-    return some.size > 0 and size(True) < size(False)
+    return judged.values.size > 0 and size(True) < size(False)
 
 
 def encode_span(span: TrackSpan) -> TilePayloads:
@@ -163,33 +203,21 @@ def encode_span(span: TrackSpan) -> TilePayloads:
     moves, anchors = _filled(span), span.anchors.astype(np.float64)
     unit = span.steps.moves.astype(np.float64)[None, :, None]
     turns = _turns(span)
-    blocks = _worthwhile(span, anchors, moves)
-    if blocks is not None:
-        base, block_turns = carried(blocks, anchors)
-        turns = _beside(np.broadcast_to(np.eye(4)[0], block_turns.shape) if turns is None else turns, block_turns)
-    else:
-        base = anchors[None]
-    residuals = (moves - base) / unit
-    exact = exactness(residuals, span.present, span.tolerances.moves, starts=span.starts, turn=False)
+    residuals = (moves - anchors[None]) / unit
+    exact = exactness(span.course(residuals, turn=False), span.present, span.tolerances.moves)
     residuals = smoothed(exact.scaled(residuals), MOST_MOVED, starts=span.starts)
     residuals = _straight(residuals, span.present, exact.told, starts=span.starts) * exact.step
     rotations, turned = (None, Exactness()) if turns is None else _turn_residuals(span, turns)
-    if rotations is None or np.abs(residuals).max(initial=0.0) > LEAST_UNITS:
-        told: F64 | None = residuals
-    else:
-        told = None
+    told = span.course(residuals, turn=False)
+    moving = rotations is None or np.abs(residuals).max(initial=0.0) > LEAST_UNITS
     payloads = chunk.encode(
-        *(span.looks, told, rotations),
+        *(span.looks, told.anchors, residuals if moving else None, None if rotations is None else rotations.values),
         starts=span.starts,
         lives=span.lives,
         fades=span.fades,
-        blocks=blocks,
         finer=(exact.finer, turned.finer),
         told=(exact.told, turned.told),
-        curved=(
-            curved(told, exact, starts=span.starts, turn=False),
-            curved(rotations, turned, starts=span.starts, turn=True),
-        ),
+        curved=(moving and curved(told, exact), rotations is not None and curved(rotations, turned)),
         deadzones=(exact.deadzones, turned.deadzones),
     )
     shown = moves[span.present]
@@ -274,43 +302,15 @@ def _line_from_nothing(values: F64, present: NDArray[np.bool_]) -> F64:
     return line
 
 
-def _turn_residuals(span: TrackSpan, turns: F64) -> tuple[F64 | None, Exactness]:
+def _turn_residuals(span: TrackSpan, turns: F64) -> tuple[Course | None, Exactness]:
     """Rotations [span + 1, n, 4] minus the identity in the chunk's finest units, or None if they are invisible."""
     units = (turns - np.eye(4)[0]) / span.steps.turns.astype(np.float64)[None, :, None]
     units[:, span.round] = 0.0
     if not span.present.all():
         last = span.span - span.present[::-1].argmax(axis=0)
         units = np.where(span.present[:, :, None], units, units[last, np.arange(units.shape[1])][None])
-    exact = exactness(units, span.present, span.tolerances.turns, starts=span.starts, turn=True)
+    exact = exactness(span.course(units, turn=True), span.present, span.tolerances.turns)
     units = smoothed(exact.scaled(units), MOST_TURNED, starts=span.starts)
     units = _straight(units, span.present, exact.told, starts=span.starts) * exact.step
-    return (units if np.abs(units).max(initial=0.0) > LEAST_UNITS else None), exact
-
-
-def _beside(turns: F64, blocks: F64) -> F64:
-    """The rest of ``turns`` [frames, n, 4] after the blocks' rotations, with w >= 0 in the first sample."""
-    flat = (-1, 4)
-    left = product(turns.reshape(flat), (blocks * CONJUGATE).reshape(flat)).reshape(turns.shape)
-    for at in range(1, len(left)):
-        left[at] *= np.where((left[at] * left[at - 1]).sum(axis=1) < 0, -1.0, 1.0)[:, None]
-    signed: F64 = left * np.where(left[:1, :, :1] < 0, -1.0, 1.0)
-    return signed
-
-
-def _worthwhile(span: TrackSpan, anchors: F64, moves: F64) -> Blocks | None:
-    """Rigid blocks of the size that saves most, if they save more than they cost (estimated from some samples)."""
-    unit = float(np.float32(max(float(np.percentile(span.steps.moves, 10)), 1e-30)))
-    some = moves[[span.span // 2, span.span]]
-    weights = np.asarray(span.present.any(axis=0), np.float64) + 1e-9
-    moves_unit = span.steps.moves[None, :, None]
-
-    def bits(left: F64) -> float:
-        return float(np.log2(1.0 + np.abs(left / moves_unit)).sum())
-
-    saved = {}
-    alone = bits(some - anchors[None])
-    for size in BLOCKS:
-        base, _ = carried(rigid_blocks(anchors, some, weights, size, unit), anchors)
-        saved[size] = alone - bits(some - base) - 1.5 * 6 * 8 * len(some) * (-(-len(anchors) // size))
-    best = max(saved, key=lambda size: saved[size])
-    return rigid_blocks(anchors, moves, weights, best, unit) if saved[best] > 0 else None
+    told = np.abs(units).max(initial=0.0) > LEAST_UNITS
+    return span.course(units, turn=True) if told else None, exact

@@ -18,7 +18,8 @@ I32: TypeAlias = NDArray[np.int32]
 U8: TypeAlias = NDArray[np.uint8]
 
 MAX_TABLES = 64
-_CLASSES = (9, 1513)
+_CLASSES = (8, 1324)
+_NEIGHBOURS, _FIT = 8, 8
 _Pointer, _int32, _int64, _double = ctypes.c_void_p, ctypes.c_int32, ctypes.c_int64, ctypes.c_double
 
 _DAMAGE = {
@@ -37,20 +38,22 @@ class DamagedError(ValueError):
 @native("CagsMotionTree")
 class _Tree(ctypes.Structure):
     _fields_ = [
-        *((name, _int32) for name in ("span", "splats", "parts", "turn", "knots", "first_table", "first_real_table")),
-        *((name, _Pointer) for name in ("order", "classes")),
-        ("classes_length", _int64),
+        *(
+            (name, _int32)
+            for name in ("span", "splats", "parts", "turn", "knots", "first_table", "first_real_table", "unit")
+        ),
+        *((name, _Pointer) for name in ("order", "classes", "neighbours", "fits", "units")),
+        ("lengths", _int64 * 4),
     ]
 
 
 @native("CagsMotionTile")
 class _Tile(ctypes.Structure):
     _fields_ = [
-        *((name, _int32) for name in ("splats", "span", "sample", "block", "fades", "reserved")),
-        *((name, _double) for name in ("time", "share", "block_unit")),
-        *((name, _Pointer) for name in ("rows", "moves", "turns", "move_steps", "turn_steps")),
-        *((name, _Pointer) for name in ("block_shifts", "block_turns", "lives")),
-        ("lengths", _int64 * 8),
+        *((name, _int32) for name in ("splats", "span", "sample", "fades")),
+        *((name, _double) for name in ("time", "share")),
+        *((name, _Pointer) for name in ("rows", "moves", "turns", "move_steps", "turn_steps", "lives")),
+        ("lengths", _int64 * 6),
     ]
 
 
@@ -77,8 +80,8 @@ class _SymbolsEncoding(ctypes.Structure):
 @native("CagsTreeEncoding")
 class _TreeEncoding(ctypes.Structure):
     _fields_ = [
-        *((name, _Pointer) for name in ("left", "told", "tables", "symbols", "escapes")),
-        *(("lengths", _int64 * 5), ("deadzone", _double), ("unit", _int32), ("reserved", _int32)),
+        *((name, _Pointer) for name in ("wanted", "samples", "told", "tables", "symbols", "escapes")),
+        *(("lengths", _int64 * 6), ("deadzone", _double)),
     ]
 
 
@@ -89,10 +92,15 @@ class Tree:
     span: int
     splats: int
     turn: bool
+    unit: int
+    """Finest units a unit of the residuals: a power of two."""
     order: I32  # [knots, 9] kind, at, left, right, parent, before, after, weights of these two
-    classes: U8  # [9, 1513]
+    classes: U8  # [8, 1324]
     first_table: int
     first_real_table: int
+    neighbours: I32  # [splats, 8] of each, coded before it
+    fits: F32  # [splats, 8, 8]
+    units: F32  # [splats]
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -109,13 +117,25 @@ class Tree:
         if self.classes.shape != _CLASSES or self.order.shape[1:] != (9,):
             raise ValueError(f"classes of shape {self.classes.shape}, knots of {self.order.shape}")
         numbers = (self.span, self.splats, self.shape[2], int(self.turn), len(self.order))
-        return _Tree(
-            *numbers,
-            self.first_table,
-            self.first_real_table,
-            _typed(self.order, np.int32).ctypes.data,
-            *(_typed(self.classes, np.uint8).ctypes.data, self.classes.size),
-        )
+        near = (self.splats, _NEIGHBOURS)
+        order, classes = _typed(self.order, np.int32), _typed(self.classes, np.uint8)
+        neighbours, fits = _fitting(self.neighbours, np.int32, near), _fitting(self.fits, np.float32, (*near, _FIT))
+        arrays = classes, neighbours, fits, _fitting(self.units, np.float32, (self.splats,))
+        tables = self.first_table, self.first_real_table, self.unit
+        return _Tree(*numbers, *tables, order.ctypes.data, *fields(*arrays))
+
+
+def neighbours(positions: F32, units: F32) -> tuple[I32, F32]:
+    """Rows [n, 8] and fits [n, 8, 8] of the neighbours of splats at ``positions`` [n, 3], of ``units`` [n].
+
+    See ``cags_common.motion``. Raises ``KernelError`` for positions or units that are not finite.
+    """
+    near = (len(positions), _NEIGHBOURS)
+    rows, fits = np.empty(near, np.int32), np.empty((*near, _FIT), np.float32)
+    given = _fitting(positions, np.float32, (near[0], 3)), _fitting(units, np.float32, near[:1])
+    arguments = (argument for array in (*given, rows, fits) for argument in sized(array))
+    check(library().cags_motion_neighbours(*arguments), "motion_neighbours")
+    return rows, fits
 
 
 def count_symbols(tables: U8, symbols: U8) -> NDArray[np.int64]:
@@ -161,36 +181,35 @@ class SymbolDecoder:
         _check_data(status, "symbols_take")
         return symbols
 
-    def tree(self, tree: Tree, told: U8, escapes: NDArray[Any], at: int) -> tuple[I32, int]:
-        """Samples [span + 1, splats, parts], and the next of the ``escapes`` [n] after those from ``at`` on.
+    def tree(self, tree: Tree, samples: I32, told: U8, escapes: NDArray[Any], at: int) -> int:
+        """The next of the ``escapes`` [n] after those from ``at`` on.
 
-        ``told`` [span + 1, splats, parts]: see ``cags_common.motion``; it is changed.
+        ``samples`` and ``told`` [span + 1, splats, parts] are changed; see ``cags_common.motion``.
         """
-        escapes, given = _typed(escapes, np.int32), tree.structure()
-        samples, escape = np.empty(tree.shape, np.int32), _int64(at)
+        escapes, given, escape = _typed(escapes, np.int32), tree.structure(), _int64(at)
+        both = _fitting(told, np.uint8, tree.shape), _fitting(samples, np.int32, tree.shape)
         status = library().cags_motion_decode_tree(
             *(ctypes.byref(given), address(self._state), *sized(escapes)),
-            *(ctypes.byref(escape), *sized(_fitting(told, np.uint8, tree.shape)), *sized(samples)),
+            *(ctypes.byref(escape), *sized(both[0]), *sized(both[1])),
         )
         _check_data(status, "motion_decode_tree")
-        return samples, escape.value
+        return escape.value
 
     def finish(self) -> None:
         """Check that everything was read."""
         _check_data(library().cags_symbols_finish(address(self._state)), "symbols_finish")
 
 
-def encode_tree(tree: Tree, left: F64, told: U8, unit: int, deadzone: float) -> tuple[U8, U8, I32]:
-    """Tables and symbols [n] and large residuals of what is ``left`` [span + 1, splats, parts], from which it is taken.
+def encode_tree(tree: Tree, wanted: F64, samples: I32, told: U8, deadzone: float) -> tuple[U8, U8, I32]:
+    """Tables and symbols [n] and large residuals that take ``samples`` closer to those ``wanted``, within 2**26 units.
 
-    Every value of ``left`` is within 2**26. ``told``, of its shape: see ``cags_common.motion``; it is changed.
+    All are [span + 1, splats, parts]; ``samples`` and ``told`` are changed; see ``cags_common.motion``.
     """
-    if left.shape != tree.shape or left.dtype != np.float64 or not left.flags.c_contiguous:
-        raise ValueError(f"residuals of shape {left.shape} and {left.dtype}, expected {tree.shape} and float64")
     tables, symbols = (np.empty(tree.symbols, np.uint8) for _ in range(2))
     escapes, written, given = np.empty(tree.symbols, np.int32), _int64(), tree.structure()
-    arrays = (left, _fitting(told, np.uint8, tree.shape), tables, symbols, escapes)
-    encoding = _TreeEncoding(*fields(*arrays), deadzone, unit, 0)
+    columns = ((wanted, np.float64), (samples, np.int32), (told, np.uint8))
+    arrays = (*(_fitting(array, dtype, tree.shape) for array, dtype in columns), tables, symbols, escapes)
+    encoding = _TreeEncoding(*fields(*arrays), deadzone)
     call = library().cags_motion_encode_tree
     check(call(ctypes.byref(given), ctypes.byref(encoding), ctypes.byref(written)), "motion_encode_tree")
     return tables, symbols, escapes[: written.value].copy()
@@ -212,8 +231,6 @@ class TileMotion:
     turns: I32 | None  # [span + 1, splats, 4]
     move_steps: F32  # [splats]
     turn_steps: F32  # [splats]
-    blocks: tuple[int, float, I32, I32] | None
-    """Splats a block, metres a unit, shifts and turns [span + 1, blocks, 3]."""
     lives: U8 | None  # [splats]
     fades: bool
     """Whether the opacities are left alone."""
@@ -221,19 +238,15 @@ class TileMotion:
     def structure(self) -> _Tile:
         """What the library takes; valid while ``self`` lives. Raises ``ValueError`` for arrays that do not fit."""
         n, samples = self.splats, self.span + 1
-        size, metres, shifts, turns = self.blocks or (0, 0.0, None, None)
-        blocks = (samples, -(-n // size) if size > 0 else 0, 3)
         arrays = (
             _fitting(self.rows, np.int32, (n,)),
             _fitting(self.moves, np.int32, (samples, n, 3)),
             _fitting(self.turns, np.int32, (samples, n, 4)),
             _fitting(self.move_steps, np.float32, (n,)),
             _fitting(self.turn_steps, np.float32, (n,)),
-            *(_fitting(array, np.int32, blocks) for array in (shifts, turns)),
             _fitting(self.lives, np.uint8, (n,)),
         )
-        numbers = (n, self.span, self.sample, size, int(self.fades), 0, self.time, self.share, metres)
-        return _Tile(*numbers, *fields(*arrays))
+        return _Tile(n, self.span, self.sample, int(self.fades), self.time, self.share, *fields(*arrays))
 
 
 def move_rows(

@@ -22,6 +22,7 @@ from cags_common.coding.packing import U32, decode_ids, encode_ids
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32
 from cags_common.motion.apply import Steps
+from cags_common.motion.neighbours import Anchors
 from cags_common.splats import Ids, Splats
 from cags_common.tiles.attributes import join_attributes
 from cags_common.tiles.kinds import TileKind
@@ -186,8 +187,9 @@ class DensityTileCodec:
         del manifest  # every tile says how many levels it has
         self._book = ScalarBook.from_bytes(codebooks)
 
-    def open_tile(self, payload: bytes | memoryview) -> DensityTile:
+    def open_tile(self, payload: bytes | memoryview, anchors: Anchors | None = None) -> DensityTile:
         """Decode the first level. Raises :class:`DecodeError`."""
+        del anchors  # splats that move are sent anew
         return DensityTile(payload, self._book)
 
     def tile_ids(self, payload: bytes | memoryview) -> Ids:

@@ -19,6 +19,7 @@ from cags_common.coding.packing import U32
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32
 from cags_common.motion.apply import Steps
+from cags_common.motion.neighbours import Anchors
 from cags_common.splats import Ids, Splats
 from cags_common.tiles.attributes import join_attributes
 from cags_common.tiles.kinds import TileKind
@@ -121,8 +122,9 @@ class VideoTileCodec:
         del manifest  # every payload says which quality it is
         self._book = ScalarBook.from_bytes(codebooks)
 
-    def open_tile(self, payload: bytes | memoryview) -> VideoTile:
+    def open_tile(self, payload: bytes | memoryview, anchors: Anchors | None = None) -> VideoTile:
         """Decode a tile at any quality. Raises :class:`DecodeError`."""
+        del anchors  # splats that move are sent anew
         return VideoTile(payload, self._book)
 
     def tile_ids(self, payload: bytes | memoryview) -> Ids:

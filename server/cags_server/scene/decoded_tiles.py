@@ -133,7 +133,7 @@ class DecodedTiles:
         if known is not None and self.layered:
             state, lacking = known.state.fork(), levels & ~before
         else:
-            state, lacking = self._reader.codec.open_tile(self._reader.payload(*key, first)), levels & ~1
+            state, lacking = self._reader.open_tile(*key, first), levels & ~1
         for lod in range(1, levels.bit_length()) if self.layered else ():
             if lacking >> lod & 1:
                 state.add_layer(lod, self._reader.payload(*key, lod))

@@ -65,7 +65,7 @@ def _take_looks(now: Owners, ids: Ids, number: int) -> None:
 
 
 def _take_update(now: Owners, reader: BundleReader, frame: int, tile: int, number: int) -> None:
-    state = reader.codec.open_tile(reader.payload(frame, tile, 0))
+    state = reader.open_tile(frame, tile)
     if now.updates is None or not isinstance(state, UpdateState):
         return
     for name, mask in state.changed.items():

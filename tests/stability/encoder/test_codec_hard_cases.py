@@ -17,7 +17,7 @@ from cags_common.bundle.codecs import tile_codec
 from cags_common.bundle.manifest import Manifest
 from cags_common.errors import SceneError
 from cags_common.splats import Splats
-from cags_common.store.tile_decode import OpenTile, TileOpener
+from cags_common.store.tile_decode import First, OpenTile, TileOpener
 from cags_common.tiles.attributes import split_attributes
 from cags_common.tiles.morton import morton_order, tile_ranges
 from cags_common.tiles.svq import MAX_STAGE_BITS
@@ -85,7 +85,8 @@ def coded(splats: Splats, quantiser: str, *, threads: int = 1) -> tuple[SvqCodec
     info = Manifest("", 30.0, 1, (0,), (len(splats),), 0, ((0, 0, 0), (0, 0, 0)), codec.lod_order, ())
     opener = TileOpener(tile_codec(info, codec.codebooks()), threads)
     states = []
-    for tile, payloads in zip(opener.open([memoryview(t[0]) for t in tiles]), tiles, strict=True):
+    firsts = [First((0, number), 0, memoryview(payloads[0])) for number, payloads in enumerate(tiles)]
+    for tile, payloads in zip(opener.opened(firsts), tiles, strict=True):
         assert isinstance(tile, OpenTile)
         for lod, payload in enumerate(payloads[1:], start=1):
             tile.state.add_layer(lod, payload)

@@ -199,7 +199,7 @@ def test_an_attribute_that_changes_is_sent_by_itself(tmp_path: Path) -> None:
     with BundleReader.open(str(tmp_path / "out")) as reader:
         tiles = [(k, tile) for k in range(1, FRAMES) for tile in reader.frame(k).tiles]
         assert [(k, tile.kind) for k, tile in tiles] == [(9, TileKind.UPDATE)]
-        update = reader.codec.open_tile(reader.payload(9, 0, 0))
+        update = reader.open_tile(9, 0)
         changed = {name: int(mask.sum()) for name, mask in update.changed.items() if mask.any()}
         assert changed.keys() == {"sh0"} and 45 <= changed["sh0"] <= 50  # a faint one's may not be worth it
 
@@ -228,7 +228,7 @@ def test_a_fade_that_is_over_leaves_the_opacity_that_there_is(last: int, tmp_pat
     encode(clip(fading(last)), FAST, str(tmp_path / "out"))
     with BundleReader.open(str(tmp_path / "out")) as reader:
         chunks = [(k, t) for k in range(FRAMES) for t in reader.frame(k).tiles if t.kind == TileKind.MOTION]
-        fades = [reader.codec.open_tile(reader.payload(k, t.tile, 0)).chunk.fades is not None for k, t in chunks]
+        fades = [reader.open_tile(k, t.tile).chunk.fades is not None for k, t in chunks]
         assert fades[0], "it fades by its motion"
         over = chunks[len(fades) - fades[::-1].index(True) - 1]
         player = BundlePlayer(reader)

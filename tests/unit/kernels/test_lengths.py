@@ -12,8 +12,9 @@ import pytest
 from cags_common.coding import rans
 from cags_common.motion.contexts import runs
 from cags_common.motion.knots import knots
-from cags_common.motion.symbols import kernel_tree
+from cags_common.motion.symbols import Samples, nothing_told
 from cags_kernels import codec, library, motion, native_available
+from support.anchors import scattered
 
 pytestmark = pytest.mark.skipif(not native_available(), reason="the native library is not built")
 
@@ -105,29 +106,37 @@ def take() -> np.ndarray:
     return motion.SymbolDecoder(rans.encode(TABLES, SYMBOLS, RUNS)).take(TABLES)
 
 
-def tree() -> Any:
-    return kernel_tree(knots(SPAN, start=True), (SPAN + 1, SPLATS, 3), turn=False)
+def neighbours() -> tuple[np.ndarray, np.ndarray]:
+    looks = scattered(SPLATS)
+    return motion.neighbours(looks.positions, looks.moves)
 
 
-def encode_tree() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    left = np.arange((SPAN + 1) * SPLATS * 3, dtype=np.float64).reshape(SPAN + 1, SPLATS, 3)
-    return motion.encode_tree(tree(), left, np.zeros(left.shape, np.uint8), 4, 0.0)
+def untold() -> Samples:
+    return nothing_told(scattered(SPLATS))(knots(SPAN, start=True), turn=False)
 
 
-def decode_tree() -> np.ndarray:
-    tables, symbols, escapes = encode_tree()
+def encode_tree() -> tuple[np.ndarray, ...]:
+    samples = untold()
+    wanted = np.arange(samples.values.size, dtype=np.float64).reshape(samples.values.shape)
+    coded = motion.encode_tree(samples.kernel(4), wanted, samples.values, samples.told, 0.0)
+    return *coded, samples.values, samples.told
+
+
+def decode_tree() -> tuple[np.ndarray, np.ndarray]:
+    tables, symbols, escapes, *_ = encode_tree()
     assert not escapes.size
-    decoder = motion.SymbolDecoder(rans.encode(tables, symbols, np.tile(runs(SPLATS, 3), len(tree().order))))
-    return decoder.tree(tree(), np.zeros((SPAN + 1, SPLATS, 3), np.uint8), escapes, 0)[0]
+    samples = untold()
+    order = samples.tree.order
+    decoder = motion.SymbolDecoder(rans.encode(tables, symbols, np.tile(runs(SPLATS, 3), len(order))))
+    assert decoder.tree(samples.kernel(4), samples.values, samples.told, escapes, 0) == 0
+    return samples.values, samples.told
 
 
 def move_rows() -> np.ndarray:
     steps, row = np.ones(SPLATS, np.float32), np.arange(SPLATS, dtype=np.int32)
-    moves, turns, block = (np.ones((SPAN + 1, n, parts), np.int32) for n, parts in ((SPLATS, 3), (SPLATS, 4), (3, 3)))
-    tile = motion.TileMotion(
-        *(SPLATS, SPAN, 1.0, 1, 0.0, row, moves, turns, steps, steps, (2, 1.0, block, block)),
-        *(np.full(SPLATS, 3, np.uint8), False),
-    )
+    moves, turns = (np.ones((SPAN + 1, SPLATS, parts), np.int32) for parts in (3, 4))
+    lives = np.full(SPLATS, 3, np.uint8)
+    tile = motion.TileMotion(SPLATS, SPAN, 1.0, 1, 0.0, row, moves, turns, steps, steps, lives, False)
     looks, into = ([np.ones((SPLATS, *shape), np.float32) for shape in ((3,), (4,), ())] for _ in range(2))
     motion.move_rows([tile], tuple(looks), tuple(into), 1)
     return np.concatenate([array.ravel() for array in into])
@@ -140,9 +149,10 @@ ENTRIES: dict[str, tuple[Callable[[], Any], int, tuple[str, ...]]] = {
     "cags_symbols_encode": (encode_symbols, 7, ("lengths[2]", "lengths[3]", "lengths[4]", "lengths[5]")),
     "cags_symbols_open": (take, 2, ()),
     "cags_symbols_take": (take, 2, ()),
-    "cags_motion_decode_tree": (decode_tree, 4, ("argument 3",)),
-    "cags_motion_encode_tree": (encode_tree, 6, ()),
-    "cags_motion_rows": (move_rows, 14, ()),
+    "cags_motion_neighbours": (neighbours, 4, ()),
+    "cags_motion_decode_tree": (decode_tree, 7, ("argument 3",)),
+    "cags_motion_encode_tree": (encode_tree, 10, ()),
+    "cags_motion_rows": (move_rows, 12, ()),
 }
 """What calls it; how many lengths it takes; those of arrays that may be longer: tables beyond the codes, runs and
 lanes, of which there may be any number, and escapes that are left over."""

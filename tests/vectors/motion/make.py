@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from cags_common.motion.apply import Looks, Steps, evaluate
-from cags_common.motion.chunk import Blocks, ChunkDecoder, encode
+from cags_common.motion.chunk import ChunkDecoder, encode
+from cags_common.motion.neighbours import Anchors
 
 ARRAYS = ("moves", "turns", "lives", "fades")
 TIME = 1.625
@@ -31,7 +32,6 @@ def cases() -> dict[str, dict[str, Any]]:
     random = np.random.default_rng(16)
     lives = random.integers(0, 10, 40).astype(np.uint8)
     fades = np.stack([random.integers(0, 49, 40), random.integers(-9, 10, 40)], axis=1)
-    shifts, turns = (random.integers(-4000, 4000, (9, 5, 3)).astype(np.int32) for _ in range(2))
     return {
         "everything": {
             "moves": smooth(random, 8, 40, 3, 1.0),
@@ -39,8 +39,8 @@ def cases() -> dict[str, dict[str, Any]]:
             "starts": True,
             "lives": lives,
             "fades": fades,
-            "blocks": Blocks(8, 0.0078125, shifts, turns),
         },
+        "field": {"moves": field(9, 300, 3), "turns": field(9, 300, 4), "starts": True, "curved": (True, False)},
         "no-start": {"moves": smooth(random, 5, 7, 3, 2.0), "turns": None, "starts": False},
         "large": {"moves": smooth(random, 3, 6, 3, 99_999.0), "turns": None, "starts": True},
         "rotations": {"moves": None, "turns": smooth(random, 64, 3, 4, 1.0), "starts": False},
@@ -71,7 +71,7 @@ def cases() -> dict[str, dict[str, Any]]:
             "curved": (True, False),
         },
         "curved-large": {
-            "moves": smooth(random, 11, 6, 3, 999_999.0),
+            "moves": smooth(random, 11, 6, 3, 199_999.0),
             "turns": None,
             "starts": True,
             "curved": (True, False),
@@ -95,38 +95,64 @@ def cases() -> dict[str, dict[str, Any]]:
 
 
 def looks_of(splats: int) -> Looks:
-    """Fractions that float32 holds."""
-    at = np.arange(splats, dtype=np.float32)[:, None]
+    """Fractions that float32 holds, along a winding line."""
+    at = np.arange(splats, dtype=np.float32)
     quats = np.tile(np.float32([0.5, 0.5, -0.5, 0.5]), (splats, 1))
-    return Looks((at * np.float32([1, -0.5, 0.25])) / 8, quats, at[:, 0] / 4 - 2)
+    means = np.stack([at, at % 7 * 2, at * at % 32], axis=1) / 8
+    return Looks(means.astype(np.float32), quats, at / 4 - 2)
 
 
 def steps_of(splats: int) -> Steps:
-    """One step for all."""
-    return Steps(np.full(splats, 0.03125, np.float32), np.full(splats, 0.015625, np.float32))
+    """Large, middle and small splats in turn."""
+    size = np.float32(2.0) ** -(np.arange(splats) % 3).astype(np.float32)
+    return Steps(size / 32, size / 64)
 
 
-def arrays_of(payloads: list[bytes], *, native: bool | None = None) -> dict[str, np.ndarray]:
+def anchors_of(splats: int) -> Anchors:
+    """What the chunks are told by."""
+    steps = steps_of(splats)
+    return Anchors(looks_of(splats).means, steps.moves, steps.turns)
+
+
+def splats_of(case: dict[str, Any]) -> int:
+    """How many splats a case has."""
+    moves, turns = case["moves"], case["turns"]
+    return int((turns if moves is None else moves).shape[1])
+
+
+def field(span: int, splats: int, parts: int) -> np.ndarray:
+    """Residuals in each splat's own unit of motion that bends smoothly in space, and a little apart from it."""
+    time = np.arange(span + 1)[:, None]
+    place, units = looks_of(splats).means, steps_of(splats).moves * 32
+    bent = np.stack([time * place[:, 0] + time * time * place[:, 1] / 4 + part for part in range(parts)], axis=2)
+    apart = (np.arange(splats)[None, :, None] * 5 + time[:, :, None] * 3 + np.arange(parts)) % 4 / 8
+    return np.rint(8 * (bent / units[None, :, None] + apart)) / 8
+
+
+def arrays_of(payloads: list[bytes], splats: int, *, native: bool | None = None) -> dict[str, np.ndarray]:
     """What ``payloads`` decode to, level by level."""
-    decoder, out = ChunkDecoder(payloads[0], native=native), {}
+    decoder, out = ChunkDecoder(payloads[0], anchors_of(splats), native=native), {}
     for level in range(len(payloads)):
         if level:
             decoder.add_level(payloads[level])
         chunk = decoder.chunk
         out |= {f"{level}-{name}": getattr(chunk, name).copy() for name in ARRAYS if getattr(chunk, name) is not None}
-    if chunk.blocks is not None:
-        out |= {"shifts": chunk.blocks.shifts, "block_turns": chunk.blocks.turns}
     moved = evaluate(chunk, TIME, looks_of(chunk.splats), steps_of(chunk.splats))
     return out | {"means": moved.means, "quats": moved.quats, "logits": moved.logit_opacities}
+
+
+def encoded(case: dict[str, Any], *, native: bool | None = None) -> tuple[bytes, ...]:
+    """Payloads of a case."""
+    return encode((3, 1), anchors_of(splats_of(case)), native=native, **case)
 
 
 def main(path: Path) -> None:
     """Write the file."""
     out: dict[str, np.ndarray] = {}
     for name, options in cases().items():
-        payloads = encode((3, 1), **options)
+        payloads, splats = encoded(options), splats_of(options)
         out |= {f"{name}/payload-{i}": np.frombuffer(payload, np.uint8) for i, payload in enumerate(payloads)}
-        out |= {f"{name}/{key}": array for key, array in arrays_of(list(payloads)).items()}
+        out |= {f"{name}/{key}": array for key, array in arrays_of(list(payloads), splats).items()}
     np.savez_compressed(path, **out)
 
 

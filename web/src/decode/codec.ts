@@ -1,5 +1,5 @@
 /** Opens the tiles of one bundle: payloads to decoders, as `cags_common.bundle.codecs.SvqTileCodec`. */
-import { BundleError } from "../bytes/errors.ts";
+import { BundleError, DecodeError } from "../bytes/errors.ts";
 import { MOTION_VERSION, MotionTile } from "../motion/chunk.ts";
 import { readCodebooks } from "./codebooks.ts";
 import { Dequantiser } from "./dequantise.ts";
@@ -31,11 +31,18 @@ export class TileCodec {
     this.steps = stepTables(manifest, books.get("scale")!.layerBits[0]!);
   }
 
-  /** Decode LoD 0 of a tile of any kind; its first byte tells them apart. Raises {@link DecodeError}. */
-  open(payload: Uint8Array): AnyTile {
+  /** Decode LoD 0 of a tile of any kind; its first byte tells them apart. `looks` are those that a tile of motion moves.
+   * Raises {@link DecodeError}. */
+  open(payload: Uint8Array, looks?: LooksTile): AnyTile {
     if (payload[0] === UPDATE_VERSION) return new UpdateTile(payload, this.dequantiser.books, this.order);
-    if (payload[0] === MOTION_VERSION) return new MotionTile(payload, this.kernels);
+    if (payload[0] === MOTION_VERSION) return this.openMotion(payload, looks);
     return new LooksTile(decodeBase(payload, this.dequantiser, this.draco), this.dequantiser, this.order, this.steps);
+  }
+
+  /** Decode level 0 of motion of `looks`. Raises {@link DecodeError}. */
+  openMotion(payload: Uint8Array, looks: LooksTile | undefined): MotionTile {
+    if (!looks?.steps) throw new DecodeError("motion: cannot be read without the looks that it moves");
+    return new MotionTile(payload, { positions: looks.means, ...looks.steps }, this.kernels);
   }
 
   /** Free what the kernels keep. */

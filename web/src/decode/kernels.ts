@@ -23,6 +23,10 @@ interface Exports {
   cags_symbols_open(data: number, bytes: bigint, decoder: number, decoderBytes: bigint): number;
   cags_symbols_take(decoder: number, tables: number, tablesLength: bigint, symbols: number, symbolsLength: bigint): number;
   cags_symbols_finish(decoder: number): number;
+  cags_motion_neighbours(
+    positions: number, positionsLength: bigint, units: number, unitsLength: bigint, neighbours: number, neighboursLength: bigint,
+    fits: number, fitsLength: bigint,
+  ): number;
   cags_motion_decode_tree(
     tree: number, decoder: number, escapes: number, escapesLength: bigint, escape: number, told: number, toldLength: bigint,
     samples: number, samplesLength: bigint,

@@ -8,7 +8,7 @@ import { partOf, pick, restless } from "./parts.ts";
 export const ABSENT_LOGIT = -30;
 
 /** Sizes of the kernel's structures, and where the lengths of their arrays begin (`cags_motion.h`, pointers of 4 bytes). */
-const [TILE_BYTES, TILE_LENGTHS, ARRAYS_BYTES, ARRAYS_LENGTHS] = [144, 80, 80, 32];
+const [TILE_BYTES, TILE_LENGTHS, ARRAYS_BYTES, ARRAYS_LENGTHS] = [104, 56, 80, 32];
 const fround = Math.fround;
 
 /** Addresses in the kernels' memory of columns by id. */
@@ -39,14 +39,12 @@ export class MovingTile {
     this.rows = rows;
     this.owned = rows.filter((row) => row >= 0).sort();
     this.steps = steps;
-    const { blocks, fades } = chunk;
     const [moveUnits, turnUnits] = units(chunk, steps);
     const s = this.structure;
-    [chunk.splats, chunk.span, 0, blocks?.size ?? 0, fades ? 1 : 0].forEach((value, i) => s.setInt32(4 * i, value, true));
-    s.setFloat64(40, blocks?.unit ?? 0, true);
-    const arrays = [rows, chunk.moves, chunk.turns, moveUnits, turnUnits, blocks?.shifts, blocks?.turns, chunk.lives];
+    [chunk.splats, chunk.span, 0, chunk.fades ? 1 : 0].forEach((value, i) => s.setInt32(4 * i, value, true));
+    const arrays = [rows, chunk.moves, chunk.turns, moveUnits, turnUnits, chunk.lives];
     arrays.forEach((array, i) => {
-      s.setUint32(48 + 4 * i, array ? this.keep(array) : 0, true);
+      s.setUint32(32 + 4 * i, array ? this.keep(array) : 0, true);
       s.setBigInt64(TILE_LENGTHS + 8 * i, BigInt(array?.length ?? 0), true);
     });
   }
@@ -55,8 +53,8 @@ export class MovingTile {
   writeTo(at: number): void {
     const { time, sample, share } = momentOf(this.chunk, this.time);
     this.structure.setInt32(8, sample, true);
-    this.structure.setFloat64(24, time, true);
-    this.structure.setFloat64(32, share, true);
+    this.structure.setFloat64(16, time, true);
+    this.structure.setFloat64(24, share, true);
     this.kernels.u8(at, TILE_BYTES).set(new Uint8Array(this.structure.buffer));
   }
 
@@ -71,11 +69,8 @@ export class MovingTile {
   private parted(): MovingTile {
     const of = restless(this.chunk);
     if (!of) return this;
-    const { chunk, taken } = partOf(this.chunk, of);
-    const rows = new Int32Array(this.rows.length).fill(-1);
-    for (const splat of of) rows[splat] = this.rows[splat]!;
-    const steps = { moves: pick(this.steps.moves, taken), turns: pick(this.steps.turns, taken) };
-    return new MovingTile(this.kernels, chunk, pick(rows, taken), steps);
+    const steps = { moves: pick(this.steps.moves, of), turns: pick(this.steps.turns, of) };
+    return new MovingTile(this.kernels, partOf(this.chunk, of), pick(this.rows, of), steps);
   }
 
   /** Free the copies. */

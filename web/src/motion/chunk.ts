@@ -1,25 +1,28 @@
-/** A chunk of motion as far as it has come, as `cags_common.motion.chunk`: format 7, up to four levels. */
+/** A chunk of motion as far as it has come, as `cags_common.motion.chunk`: format 8, up to four levels. */
 import { DecodeError } from "../bytes/errors.ts";
 import { unsqueeze } from "../bytes/inflate.ts";
-import type { Kernels } from "../decode/kernels.ts";
+import { check, type Kernels } from "../decode/kernels.ts";
 import { classTables, CLASSES, KNOT_NUMBERS, knots } from "./knots.ts";
+import { pick } from "./parts.ts";
 
-export const MOTION_VERSION = 7;
+export const MOTION_VERSION = 8;
 /** Levels of a chunk at most. */
 export const LEVELS = 4;
 const REFINEMENT = 4;
 const MAX_SPAN = 64;
 const MAX_SPLATS = 65_536;
 const MAX_SAMPLES = 1 << 20;
-const MAX_BLOCK = 4_096;
 const MAX_FINER = 10;
-const MAX_UNIT = 1e30;
 const MAX_ESCAPES = 1 << 23;
 const ESCAPE = 254;
-const [STARTS, TURNS, LIVES, FADES, MOVES, STILLS, CURVED_MOVES, CURVED_TURNS] = [1, 2, 4, 8, 16, 32, 64, 128] as const;
-const HEAD_BYTES = 40;
-/** Size of the kernel's tree, and where the length of its classes is (`cags_motion.h`, pointers of 4 bytes). */
-const [TREE_BYTES, TREE_LENGTHS] = [48, 40];
+const [STARTS, LIVES, FADES, STILLS, CURVED_MOVES, CURVED_TURNS] = [1, 2, 4, 8, 16, 32] as const;
+const FLAGS = STARTS | LIVES | FADES | STILLS | CURVED_MOVES | CURVED_TURNS;
+const HEAD_BYTES = 31;
+/** Size of the kernel's tree, and where the lengths of its arrays are (`cags_motion.h`, pointers of 4 bytes). */
+const [TREE_BYTES, TREE_LENGTHS] = [88, 56];
+const LEAST_UNIT = 1e-30;
+/** Neighbours of a splat, and the numbers of each one's part in a fit. */
+const [NEIGHBOURS, FIT] = [8, 8];
 const FADE_WIDTHS = Array.from({ length: 48 }, (_, i) => 2 ** (i / 4 - 3));
 const FADE_STEP = 4;
 const LIFE_EDGES = [2, 3, 5, 8];
@@ -30,13 +33,11 @@ const MOVE_TABLE = CENTRE_TABLE + 2;
 const TURN_TABLE = MOVE_TABLE + CLASSES + 1;
 const REAL_TABLE = TURN_TABLE + CLASSES + 1;
 
-/** Rigid motion of runs of `size` splats at each sample of the span. */
-export interface Blocks {
-  readonly size: number;
-  /** Metres a unit of the shifts, float32. */
-  readonly unit: number;
-  readonly shifts: Int32Array; // [span + 1, blocks, 3]
-  readonly turns: Int32Array; // [span + 1, blocks, 3] Gibbs vectors in 1 / 4096
+/** What motion is told by: the looks that move, as their first level decodes. */
+export interface Anchors {
+  readonly positions: Float32Array; // [n, 3] world, metres
+  readonly moves: Float32Array; // [n] units of positions, metres
+  readonly turns: Float32Array; // [n] units of rotations, radians of half an angle
 }
 
 /** What the payloads say so far. It never changes: a further level makes another one. */
@@ -47,7 +48,6 @@ export interface Chunk {
   readonly splats: number;
   readonly lives: Uint8Array | undefined; // [n]
   readonly fades: Float32Array | undefined; // [n, 2] centre, standard deviation; infinite: none
-  readonly blocks: Blocks | undefined;
   readonly moves: Int32Array | undefined; // [span + 1, n, 3]
   readonly turns: Int32Array | undefined; // [span + 1, n, 4]
   readonly starts: boolean;
@@ -60,13 +60,28 @@ export interface Chunk {
 interface Head {
   readonly flags: number;
   readonly span: number;
-  /** Levels that say anything. */
-  readonly levels: number;
+  /** Levels that say anything of moves and of turns. */
+  readonly levels: readonly [number, number];
   readonly looks: readonly [number, number];
   readonly splats: number;
-  readonly block: number;
   readonly finer: readonly [number, number];
-  readonly unit: number;
+}
+
+/** Moves or turns of the splats that move, as far as told. */
+interface Samples {
+  readonly turn: boolean;
+  readonly levels: number;
+  readonly order: Int32Array;
+  readonly units: Float32Array; // in parts of the largest
+  readonly values: Int32Array; // [span + 1, m, parts] in 1 / 64 of the finest unit
+  readonly told: Uint8Array; // where a level had a residual
+}
+
+type Parts = readonly [Samples | undefined, Samples | undefined];
+
+interface Neighbours {
+  readonly rows: Int32Array; // [m, 8]
+  readonly fits: Float32Array; // [m, 8, 8]
 }
 
 /** Media frame and tile of the looks that a payload of level 0 moves. Raises {@link DecodeError}. */
@@ -81,27 +96,30 @@ export class MotionTile {
   private read = 1;
   /** Levels that say anything. */
   private readonly count: number;
-  /** Where levels that were read had residuals: moves, turns. */
-  private told: readonly (Uint8Array | undefined)[];
   private waiting = new Map<number, Uint8Array>();
   /** Rows of the splats of which levels speak; undefined: of all. */
   private readonly movers: Int32Array | undefined;
-  /** Moves and turns [span + 1, movers, parts], as far as told. */
-  private trees: Trees;
+  private readonly near: Neighbours;
+  private parts: Parts;
   private readonly kernels: Kernels;
 
-  /** Decode level 0. Raises {@link DecodeError}. */
-  constructor(payload: Uint8Array, kernels: Kernels) {
+  /** Decode level 0; `anchors` [n] are the looks that move. Raises {@link DecodeError}. */
+  constructor(payload: Uint8Array, anchors: Anchors, kernels: Kernels) {
     this.kernels = kernels;
-    const { head, rigid, who, escapes, symbols } = sections(payload);
+    const { head, who, escapes, symbols } = sections(payload);
+    checkAnchors(anchors, head.splats);
     this.movers = readMovers(head, who);
-    this.count = head.levels;
-    const rows = (head.span + 1) * (this.movers?.length ?? head.splats);
-    const told = [head.flags & MOVES ? new Uint8Array(3 * rows) : undefined, head.flags & TURNS ? new Uint8Array(4 * rows) : undefined];
-    const { blank, trees } = withReader(kernels, escapes, symbols, (reader) => opened(head, rigid, reader, told));
-    this.told = told;
-    this.trees = trees;
-    this.chunk = this.withTrees(blank);
+    this.count = Math.max(1, ...head.levels);
+    const moving = this.movers ? some(anchors, this.movers) : anchors;
+    this.near = neighbours(kernels, moving);
+    this.parts = [nothingTold(head, moving, 0), nothingTold(head, moving, 1)];
+    const blank = withReader(kernels, escapes, symbols, (reader) => {
+      const opening = opened(head, reader);
+      for (const part of this.parts) if (part) reader.tree(part, this.near, 0);
+      reader.finish();
+      return opening;
+    });
+    this.chunk = this.withParts(blank);
   }
 
   get length(): number {
@@ -150,29 +168,61 @@ export class MotionTile {
     }
     const escapes = 4 + new DataView(payload.buffer, payload.byteOffset, 4).getUint32(0, true);
     if (escapes > payload.length) throw new DecodeError("motion: a level's escapes are cut short");
-    const { chunk, read } = this;
-    const told = this.told.map((part) => part?.slice());
-    const [moves, turns] = withReader(this.kernels, payload.subarray(4, escapes), payload.subarray(escapes), (reader) => {
-      const trees = readTrees(reader, chunk, read, told);
+    const { read } = this;
+    const parts = this.parts.map((part) => part && { ...part, values: part.values.slice(), told: part.told.slice() });
+    withReader(this.kernels, payload.subarray(4, escapes), payload.subarray(escapes), (reader) => {
+      for (const part of parts) if (part && read < part.levels) reader.tree(part, this.near, read);
       reader.finish();
-      return trees;
     });
-    this.told = told;
-    this.trees = [sum(this.trees[0], moves), sum(this.trees[1], turns)];
-    this.chunk = this.withTrees(chunk);
+    this.parts = [parts[0], parts[1]];
+    this.chunk = this.withParts(this.chunk);
     this.read += 1;
   }
 
-  private withTrees(chunk: Chunk): Chunk {
-    const of = (tree: Int32Array | undefined, parts: number): Int32Array | undefined => {
+  private withParts(chunk: Chunk): Chunk {
+    const of = (part: Samples | undefined): Int32Array | undefined => {
       const { movers } = this;
-      return tree && movers ? scattered(tree, movers, chunk, parts) : tree;
+      return part && movers ? scattered(part.values, movers, chunk, part.turn ? 4 : 3) : part?.values;
     };
-    return { ...chunk, moves: of(this.trees[0], 3), turns: of(this.trees[1], 4) };
+    return { ...chunk, moves: of(this.parts[0]), turns: of(this.parts[1]) };
   }
 }
 
-type Trees = readonly [Int32Array | undefined, Int32Array | undefined];
+function checkAnchors({ positions, moves, turns }: Anchors, splats: number): void {
+  if (moves.length !== splats) throw new DecodeError(`motion: ${splats} splats move, and the looks have ${moves.length}`);
+  const sound = (column: Float32Array): boolean => column.every(Number.isFinite);
+  if (![positions, moves, turns].every(sound)) throw new DecodeError("motion: positions or units of the looks are not finite");
+}
+
+function some({ positions, moves, turns }: Anchors, rows: Int32Array): Anchors {
+  return { positions: pick(positions, rows, 3), moves: pick(moves, rows), turns: pick(turns, rows) };
+}
+
+/** In parts of the largest, at least {@link LEAST_UNIT}; ones where that is none. */
+function relative(units: Float32Array): Float32Array {
+  let most = 0;
+  for (const unit of units) if (unit > most) most = unit;
+  return units.map((unit) => (most > 0 ? Math.max(unit / most, LEAST_UNIT) : 1));
+}
+
+function neighbours(kernels: Kernels, { positions, moves }: Anchors): Neighbours {
+  const each = NEIGHBOURS * moves.length;
+  return kernels.scoped((scope) => {
+    const [at, units, rows, fits] = [scope.put(positions), scope.put(relative(moves)), scope.take(4 * each), scope.take(4 * FIT * each)];
+    const [places, count, near, numbers] = [positions.length, moves.length, each, FIT * each].map(BigInt) as [bigint, bigint, bigint, bigint];
+    check("cags_motion_neighbours", kernels.calls.cags_motion_neighbours(at, places, units, count, rows, near, fits, numbers));
+    return { rows: kernels.i32(rows, each).slice(), fits: kernels.f32(fits, FIT * each).slice() };
+  });
+}
+
+function nothingTold(head: Head, anchors: Anchors, part: 0 | 1): Samples | undefined {
+  const { span, flags } = head;
+  const [levels, turn, count] = [head.levels[part], part === 1, (span + 1) * anchors.moves.length * (3 + part)];
+  if (!levels) return undefined;
+  const order = knots(span, (flags & STARTS) > 0, (flags & (turn ? CURVED_TURNS : CURVED_MOVES)) > 0);
+  const units = relative(turn ? anchors.turns : anchors.moves);
+  return { turn, levels, order, units, values: new Int32Array(count), told: new Uint8Array(count) };
+}
 
 /** `tree` [span + 1, movers, parts] as of all splats. */
 function scattered(tree: Int32Array, movers: Int32Array, { span, splats }: Chunk, parts: number): Int32Array {
@@ -198,64 +248,40 @@ function readMovers(head: Head, who: Uint8Array): Int32Array | undefined {
   return Int32Array.from(rows);
 }
 
-function sum(have: Int32Array | undefined, more: Int32Array | undefined): Int32Array | undefined {
-  if (!have || !more) return have;
-  for (let i = 0; i < more.length; i++) more[i] = (more[i]! + have[i]!) | 0;
-  return more;
-}
-
-function sections(payload: Uint8Array): { head: Head; rigid: Uint8Array; who: Uint8Array; escapes: Uint8Array; symbols: Uint8Array } {
+function sections(payload: Uint8Array): { head: Head; who: Uint8Array; escapes: Uint8Array; symbols: Uint8Array } {
   if (payload.length < HEAD_BYTES) throw new DecodeError(`motion: ${payload.length} bytes are too few for a chunk`);
   const v = new DataView(payload.buffer, payload.byteOffset, HEAD_BYTES);
-  const [version, flags, span, levels] = [v.getUint8(0), v.getUint8(1), v.getUint8(2), v.getUint8(3)];
-  const [frame, tile, splats, block] = [v.getUint32(4, true), v.getUint32(8, true), v.getUint32(12, true), v.getUint16(16, true)];
-  const [finer, finerTurns, unit] = [v.getUint8(18), v.getUint8(19), v.getFloat32(20, true)];
-  const sizes = [24, 28, 32, 36].map((at) => v.getUint32(at, true)) as [number, number, number, number];
-  const bent = (flags & CURVED_MOVES && !(flags & MOVES)) || (flags & CURVED_TURNS && !(flags & TURNS));
-  if (version !== MOTION_VERSION || levels < 1 || levels > LEVELS || bent) {
-    throw new DecodeError(`motion: version ${version}, ${levels} levels, flags ${flags}; this program reads ${MOTION_VERSION}`);
+  const [version, flags, span, moves, turns] = [0, 1, 2, 3, 4].map((at) => v.getUint8(at)) as [number, number, number, number, number];
+  const [frame, tile, splats] = [v.getUint32(5, true), v.getUint32(9, true), v.getUint32(13, true)];
+  const [finer, finerTurns] = [v.getUint8(17), v.getUint8(18)];
+  const sizes = [19, 23, 27].map((at) => v.getUint32(at, true)) as [number, number, number];
+  const bent = (flags & CURVED_MOVES && !moves) || (flags & CURVED_TURNS && !turns);
+  if (version !== MOTION_VERSION || Math.max(moves, turns) > LEVELS || flags & ~FLAGS || bent) {
+    throw new DecodeError(`motion: version ${version}, ${moves} and ${turns} levels, flags ${flags}; this program reads ${MOTION_VERSION}`);
   }
   const small = splats <= MAX_SPLATS && splats * (span + 1) <= MAX_SAMPLES;
-  const bounds = span >= 1 && span <= MAX_SPAN && small && block <= MAX_BLOCK && unit >= 0 && unit <= MAX_UNIT;
-  const bytes = sizes[0] + sizes[1] + sizes[2] + sizes[3];
-  if (!bounds || Math.max(finer, finerTurns) > MAX_FINER || bytes !== payload.length - HEAD_BYTES) {
+  const bounds = span >= 1 && span <= MAX_SPAN && small && Math.max(finer, finerTurns) <= MAX_FINER;
+  const bytes = sizes[0] + sizes[1] + sizes[2];
+  if (!bounds || bytes !== payload.length - HEAD_BYTES) {
     throw new DecodeError(`motion: claims a span of ${span}, ${splats} splats, ${bytes} bytes; beyond bounds`);
   }
-  const rigid = HEAD_BYTES + sizes[0];
-  const who = rigid + sizes[1];
-  const escapes = who + sizes[2];
-  const head = { flags, span, levels, looks: [frame, tile] as const, splats, block, finer: [finer, finerTurns] as const, unit };
+  const who = HEAD_BYTES + sizes[0];
+  const escapes = who + sizes[1];
+  const head = { flags, span, levels: [moves, turns] as const, looks: [frame, tile] as const, splats, finer: [finer, finerTurns] as const };
   return {
-    head, rigid: payload.subarray(HEAD_BYTES, rigid), who: payload.subarray(rigid, who),
-    escapes: payload.subarray(who, escapes), symbols: payload.subarray(escapes),
+    head, who: payload.subarray(HEAD_BYTES, who), escapes: payload.subarray(who, escapes), symbols: payload.subarray(escapes),
   };
 }
 
-function opened(head: Head, rigid: Uint8Array, reader: SymbolReader, told: (Uint8Array | undefined)[]): { blank: Chunk; trees: Trees } {
+function opened(head: Head, reader: SymbolReader): Chunk {
   const { span, splats, flags } = head;
   const lives = flags & LIVES ? reader.plain(new Uint8Array(splats).fill(LIFE_TABLE)) : undefined;
   if (lives?.some((life) => life > span + 1)) throw new DecodeError(`motion: a life beyond a span of ${span}`);
   const fades = flags & FADES ? readFades(reader, head, lives) : undefined;
-  const blank: Chunk = {
-    looks: head.looks, span, splats, lives, fades, blocks: readBlocks(head, rigid), moves: undefined, turns: undefined,
+  return {
+    looks: head.looks, span, splats, lives, fades, moves: undefined, turns: undefined,
     starts: (flags & STARTS) > 0, finer: head.finer, curved: [(flags & CURVED_MOVES) > 0, (flags & CURVED_TURNS) > 0],
   };
-  const trees = readTrees(reader, blank, 0, told);
-  reader.finish();
-  return { blank, trees };
-}
-
-function readTrees(
-  reader: SymbolReader, chunk: Chunk, level: number, told: (Uint8Array | undefined)[],
-): [Int32Array | undefined, Int32Array | undefined] {
-  const unit = REFINEMENT ** (LEVELS - 1 - level);
-  const [moves, turns] = told.map((part, i) => {
-    if (!part) return undefined;
-    const tree = reader.tree(knots(chunk.span, chunk.starts, chunk.curved[i]!), part, chunk, i === 1);
-    if (unit !== 1) for (let k = 0; k < tree.length; k++) tree[k] = Math.imul(tree[k]!, unit);
-    return tree;
-  });
-  return [moves, turns];
 }
 
 function readFades(reader: SymbolReader, head: Head, lives: Uint8Array | undefined): Float32Array {
@@ -275,29 +301,6 @@ function readFades(reader: SymbolReader, head: Head, lives: Uint8Array | undefin
     out[2 * i + 1] = width;
   });
   return out;
-}
-
-function readBlocks(head: Head, rigid: Uint8Array): Blocks | undefined {
-  if (!head.block) {
-    if (rigid.length) throw new DecodeError("motion: has blocks of no size");
-    return undefined;
-  }
-  const count = Math.ceil(head.splats / head.block);
-  const samples = head.span + 1;
-  const numbers = 6 * count * samples;
-  const raw = unsqueeze(rigid, 4 * numbers, "motion: blocks");
-  const [shifts, turns] = [new Int32Array(samples * count * 3), new Int32Array(samples * count * 3)];
-  for (let part = 0, at = 0; part < 6; part++) {
-    const to = part < 3 ? shifts : turns;
-    for (let block = 0; block < count; block++) {
-      for (let sample = 0, value = 0; sample < samples; sample++, at++) {
-        const folded = raw[at]! | (raw[numbers + at]! << 8) | (raw[2 * numbers + at]! << 16) | (raw[3 * numbers + at]! << 24);
-        value = (value + unfolded(folded)) | 0;
-        to[(sample * count + block) * 3 + (part % 3)] = value;
-      }
-    }
-  }
-  return { size: head.block, unit: head.unit, shifts, turns };
 }
 
 /** Of a folded word: 0, -1, 1, -2, ... */
@@ -376,25 +379,27 @@ class SymbolReader {
     });
   }
 
-  /** Samples [span + 1, n, parts] of one level, in 1 / 64 of its unit; `told` is changed. */
-  tree(order: Int32Array, told: Uint8Array, chunk: Chunk, turn: boolean): Int32Array {
+  /** Take `part` on by `level`. */
+  tree(part: Samples, near: Neighbours, level: number): void {
     const k = this.kernels;
-    return k.scoped((scope) => {
+    const { order, units, values, told, turn } = part;
+    k.scoped((scope) => {
       classes ??= classTables();
-      const [knotsAt, classesAt, toldAt] = [scope.put(order), scope.put(classes), scope.put(told)];
-      const [escapes, escape, samples] = [scope.put(this.escapes), scope.take(8), scope.take(4 * told.length)];
-      const tree = scope.take(TREE_BYTES);
-      const first = turn ? TURN_TABLE : MOVE_TABLE;
-      const parts = turn ? 4 : 3;
-      const numbers = [chunk.span, told.length / parts / (chunk.span + 1), parts, turn ? 1 : 0, order.length / KNOT_NUMBERS, first, REAL_TABLE];
-      k.i32(tree, 9).set([...numbers, knotsAt, classesAt]);
+      const [knotsAt, classesAt, toldAt, samples] = [scope.put(order), scope.put(classes), scope.put(told), scope.put(values)];
+      const [rows, fits, unitsAt] = [scope.put(near.rows), scope.put(near.fits), scope.put(units)];
+      const [escapes, escape, tree] = [scope.put(this.escapes), scope.take(8), scope.take(TREE_BYTES)];
+      const [parts, splats] = [turn ? 4 : 3, units.length];
+      const span = Math.max(...order.filter((_, i) => i % KNOT_NUMBERS === 1));
+      const unit = REFINEMENT ** (LEVELS - 1 - level);
+      const numbers = [span, splats, parts, turn ? 1 : 0, order.length / KNOT_NUMBERS, turn ? TURN_TABLE : MOVE_TABLE, REAL_TABLE, unit];
+      k.i32(tree, 13).set([...numbers, knotsAt, classesAt, rows, fits, unitsAt]);
       k.view(escape, 8).setBigInt64(0, BigInt(this.at), true);
-      k.writeLengths(tree + TREE_LENGTHS, [classes.length]);
+      k.writeLengths(tree + TREE_LENGTHS, [classes.length, near.rows.length, near.fits.length, units.length]);
       const [large, length] = [BigInt(this.escapes.length), BigInt(told.length)];
       checkData(k.calls.cags_motion_decode_tree(tree, this.decoder, escapes, large, escape, toldAt, length, samples, length));
       this.at = Number(k.view(escape, 8).getBigInt64(0, true));
       told.set(k.u8(toldAt, told.length));
-      return k.i32(samples, told.length).slice();
+      values.set(k.i32(samples, values.length));
     });
   }
 

@@ -46,11 +46,12 @@ function weightOf(at: number, left: number, right: number, of: number, other: nu
 const MAGNITUDE = 63;
 const EDGES = [0, 4, 9, 16, 28, 50, 100, 200, 440];
 const UNKNOWN = 2;
-const SUMS = 2 * 3 * MAGNITUDE + 2 * 6 * MAGNITUDE + 3 * 2 * MAGNITUDE + 1;
-const WEIGHTS = 2 + 4 + 3;
+const MOST_SPREAD = 756;
+const SUMS = 3 * MAGNITUDE + MOST_SPREAD + 3 * 2 * MAGNITUDE + 1;
+const WEIGHTS = 1 + 4 + 3;
 export const CLASSES = EDGES.length + 1;
 
-/** [9, 1513] class of a residual by what is known and what it tells. */
+/** [8, 1324] class of a residual by what is known and what it tells. */
 export function classTables(): Uint8Array {
   const out = new Uint8Array(WEIGHTS * SUMS).fill(UNKNOWN, 0, SUMS);
   for (let weight = 1; weight < WEIGHTS; weight++) {

@@ -6,15 +6,10 @@ import type { Chunk } from "./chunk.ts";
 const MOST_RESTLESS = 0.875;
 
 /** Splats of a chunk, ascending, that may be elsewhere at another time of its span; undefined: most of them. */
-export function restless({ splats, span, moves, turns, blocks, fades, lives }: Chunk): Int32Array | undefined {
+export function restless({ splats, span, moves, turns, fades, lives }: Chunk): Int32Array | undefined {
   const found = new Uint8Array(splats);
   if (fades) for (let i = 0; i < splats; i++) if (Number.isFinite(fades[2 * i + 1]!)) found[i] = 1;
   if (lives) for (let i = 0; i < splats; i++) if (lives[i]! <= span) found[i] = 1;
-  if (blocks) {
-    const moving = new Uint8Array(Math.ceil(splats / blocks.size));
-    for (const samples of [blocks.shifts, blocks.turns]) findVarying(samples, span, moving);
-    for (let i = 0; i < splats; i++) found[i]! |= moving[Math.floor(i / blocks.size)]!;
-  }
   for (const samples of [moves, turns]) if (samples && !most(found)) findVarying(samples, span, found);
   return most(found) ? undefined : where(found);
 }
@@ -34,24 +29,14 @@ function most(found: Uint8Array): boolean {
   return count > MOST_RESTLESS * found.length;
 }
 
-/** Splats `of` a chunk, rising; blocks stay whole: `taken` are the splats that the new one speaks of. */
-export function partOf(chunk: Chunk, of: Int32Array): { chunk: Chunk; taken: Int32Array } {
-  const { blocks, splats, span } = chunk;
-  let taken = of;
-  let rigid = blocks;
-  if (blocks) {
-    const count = Math.ceil(splats / blocks.size);
-    const moves = new Uint8Array(count);
-    for (const splat of of) moves[Math.floor(splat / blocks.size)] = 1;
-    const kept = where(moves);
-    taken = where(Uint8Array.from({ length: splats }, (_, splat) => moves[Math.floor(splat / blocks.size)]!));
-    const some = (samples: Int32Array): Int32Array => pickOfSamples(samples, span, count, kept);
-    rigid = { ...blocks, shifts: some(blocks.shifts), turns: some(blocks.turns) };
-  }
-  const samplesOf = (samples: Int32Array | undefined): Int32Array | undefined => samples && pickOfSamples(samples, span, splats, taken);
-  const [lives, fades] = [chunk.lives && pick(chunk.lives, taken), chunk.fades && pick(chunk.fades, taken, 2)];
-  const some = { ...chunk, splats: taken.length, lives, fades, blocks: rigid, moves: samplesOf(chunk.moves), turns: samplesOf(chunk.turns) };
-  return { chunk: some, taken };
+/** Splats `of` a chunk, rising. */
+export function partOf(chunk: Chunk, of: Int32Array): Chunk {
+  const { splats, span, lives, fades } = chunk;
+  const samplesOf = (samples: Int32Array | undefined): Int32Array | undefined => samples && pickOfSamples(samples, span, splats, of);
+  return {
+    ...chunk, splats: of.length, lives: lives && pick(lives, of), fades: fades && pick(fades, of, 2),
+    moves: samplesOf(chunk.moves), turns: samplesOf(chunk.turns),
+  };
 }
 
 /** Rows `of` an array of `width` numbers a row. */

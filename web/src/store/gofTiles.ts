@@ -7,7 +7,7 @@
  */
 import { DecodeError } from "../bytes/errors.ts";
 import type { AnyTile } from "../decode/codec.ts";
-import { LEVELS, MOTION_VERSION, MotionTile, readLooks } from "../motion/chunk.ts";
+import { LEVELS, MOTION_VERSION, type MotionTile, readLooks } from "../motion/chunk.ts";
 import type { HeldTile } from "../wire/messages.ts";
 import { type StoredTile, StoredLooks, StoredMotion, StoredUpdate, Motions, type Sphere, type Staged, toStage } from "./storedTiles.ts";
 import { frameOf, type Key, looksKey, named, tileOf } from "./keys.ts";
@@ -141,8 +141,9 @@ export class GofTiles {
     if (held === undefined) {
       const first = layers[0];
       if (!first || first.lod || this.waits(key, first.payload)) return this.wait(key, layers);
-      held = this.take(key, first.payload, this.options.codec.open(first.payload));
-      if (!held) return;
+      const looks = this.looksFor(key, first.payload);
+      if (looks === null) return void this.tiles.set(key, null);
+      held = this.take(key, first.payload, this.options.codec.open(first.payload, looks?.versions.newest));
       this.touched.set(key, held);
       layers = [...layers.slice(1), ...this.waiting.take(key)];
     }
@@ -184,8 +185,20 @@ export class GofTiles {
     }
   }
 
-  /** A tile that is new; undefined where what it moves is not kept. Raises {@link DecodeError}. */
-  private take(key: Key, payload: Uint8Array, tile: AnyTile): StoredTile | undefined {
+  /** The looks that a tile of motion moves, null where they are not kept; undefined of other kinds. Raises {@link DecodeError}. */
+  private looksFor(key: Key, payload: Uint8Array): StoredLooks | null | undefined {
+    const named_ = this.options.inMotion ? looksOf(payload) : undefined;
+    const looks = named_ && this.tiles.get(looksKey(...named_));
+    if (!named_) return undefined;
+    if (looks === null) return null;
+    if (looks?.kind !== "looks" || looks.frame > frameOf(key)) {
+      throw new DecodeError(`${named(key)}: moves tile ${named_[1]} of frame ${named_[0]}, which holds no splats that move by then`);
+    }
+    return looks;
+  }
+
+  /** A tile that is new. Raises {@link DecodeError}. */
+  private take(key: Key, payload: Uint8Array, tile: AnyTile): StoredTile {
     if (this.tiles.size >= MAX_TILES_PER_GOF) {
       throw new DecodeError(`${named(key)}: the group already has ${MAX_TILES_PER_GOF} tiles`);
     }
@@ -207,20 +220,8 @@ export class GofTiles {
     }
   }
 
-  private takeMotion(key: Key, payload: Uint8Array, state: MotionTile): StoredMotion | undefined {
+  private takeMotion(key: Key, payload: Uint8Array, state: MotionTile): StoredMotion {
     const looksAt = looksKey(...state.looks);
-    const looks = this.tiles.get(looksAt);
-    if (looks === null) {
-      this.tiles.set(key, null);
-      return undefined;
-    }
-    const which = `tile ${state.looks[1]} of frame ${state.looks[0]}`;
-    if (!this.options.inMotion || looks?.kind !== "looks" || looks.frame > frameOf(key)) {
-      throw new DecodeError(`${named(key)}: moves ${which}, which holds no splats that move by then`);
-    }
-    if (state.length !== looks.versions.newest.length) {
-      throw new DecodeError(`${named(key)}: moves ${state.length} splats of ${which}, which has ${looks.versions.newest.length}`);
-    }
     const held = new StoredMotion(key, looksAt, new Versions(state, this.mark));
     this.tiles.set(key, held);
     const before = this.motions.add(held);
@@ -301,8 +302,13 @@ export class GofTiles {
       if (this.isFollowed(held)) this.retire(held);
       else if (!held.versions) motions.push(held);
     }
-    const open = (payload: Uint8Array): MotionTile => new MotionTile(payload, this.options.codec.kernels);
-    for (const held of motions) gathered(this.errors, () => void (held.versions = held.opened(open, this.floor)));
+    for (const held of motions) {
+      const looks = this.tiles.get(held.looks);
+      const open = (payload: Uint8Array): MotionTile => {
+        return this.options.codec.open(payload, looks?.kind === "looks" ? looks.versions.newest : undefined) as MotionTile;
+      };
+      gathered(this.errors, () => void (held.versions = held.opened(open, this.floor)));
+    }
   }
 
   /** Whether a later chunk of the same looks is shown in its place. */

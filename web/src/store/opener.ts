@@ -2,11 +2,12 @@
 import { DecodeError } from "../bytes/errors.ts";
 import type { AnyTile, TileCodec } from "../decode/codec.ts";
 import type { Kernels } from "../decode/kernels.ts";
+import type { LooksTile } from "../decode/looks.ts";
 
 export interface Opener {
   readonly kernels: Kernels;
-  /** Decode LoD 0 of a tile of any kind. Raises {@link DecodeError}. */
-  open(payload: Uint8Array): AnyTile;
+  /** Decode LoD 0 of a tile of any kind; `looks` are those that a tile of motion moves. Raises {@link DecodeError}. */
+  open(payload: Uint8Array, looks?: LooksTile): AnyTile;
 }
 
 /** An opener whose codec follows. */
@@ -18,8 +19,8 @@ export class LateOpener implements Opener {
     this.kernels = kernels;
   }
 
-  open(payload: Uint8Array): AnyTile {
+  open(payload: Uint8Array, looks?: LooksTile): AnyTile {
     if (!this.codec) throw new DecodeError("tiles came before the codebooks that they need");
-    return this.codec.open(payload);
+    return this.codec.open(payload, looks);
   }
 }

@@ -65,18 +65,38 @@ test("an update has the recorded values", () => {
   assert.deepEqual(sorted(values()), sorted(bundle.update.values[1]!));
 });
 
-for (const { name, payloads, arrays } of vectors<{ name: string; payloads: string[]; arrays: Record<string, string> }[]>("chunks")) {
+interface RecordedChunk {
+  name: string;
+  payloads: string[];
+  anchors: { positions: string; moves: string; turns: string };
+  /** By level and name. */
+  arrays: Record<string, string>;
+}
+
+function floats(base64: string): Float32Array {
+  return new Float32Array(fromBase64(base64).buffer);
+}
+
+for (const { name, payloads, anchors, arrays } of vectors<RecordedChunk[]>("chunks")) {
   test(`the chunk of motion '${name}' has the recorded bits, in whatever order its levels come`, () => {
     const [first, ...levels] = payloads.map(fromBase64);
-    for (const order of [levels.map((_, i) => i), levels.map((_, i) => levels.length - 1 - i)]) {
-      const tile = new MotionTile(first!, wasm);
-      for (const i of order) tile.addLayer(i + 1, levels[i]!);
-      assert.equal(tile.lod, levels.length);
-      for (const [key, wanted] of Object.entries(arrays)) {
-        const array = tile.chunk[key as "moves" | "turns" | "lives" | "fades"];
-        assert.equal(array ? text(array) : "", wanted, key);
+    const looks = { positions: floats(anchors.positions), moves: floats(anchors.moves), turns: floats(anchors.turns) };
+    const check = (tile: MotionTile, level: number): void => {
+      for (const key of ["moves", "turns", "lives", "fades"] as const) {
+        const array = tile.chunk[key];
+        assert.equal(array && text(array), arrays[`${level}-${key}`], `${level}-${key}`);
       }
-    }
+    };
+    const rising = new MotionTile(first!, looks, wasm);
+    check(rising, 0);
+    levels.forEach((level, i) => {
+      rising.addLayer(i + 1, level);
+      check(rising, i + 1);
+    });
+    const falling = new MotionTile(first!, looks, wasm);
+    for (let i = levels.length; i > 0; i--) falling.addLayer(i, levels[i - 1]!);
+    assert.equal(falling.lod, levels.length);
+    check(falling, levels.length);
   });
 }
 

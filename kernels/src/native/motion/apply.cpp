@@ -13,7 +13,7 @@ namespace cags::motion {
 namespace {
 
 constexpr int kPiece = 2048;  // splats a piece of work
-constexpr double kFraction = 64.0, kTurnUnit = 1.0 / 4096;
+constexpr double kFraction = 64.0;
 constexpr float kAbsentLogit = -30.0f;
 constexpr int64_t kMostRows = std::numeric_limits<int32_t>::max();  // rows are named by 32 bits
 
@@ -46,16 +46,6 @@ void multiply(const Quats& a, Quats& b, int count) {
   }
 }
 
-void rotate(const Quats& q, Column* p, int count) {
-  for (int k = 0; k < count; k++) {
-    const double w = q.w[k], x = q.x[k], y = q.y[k], z = q.z[k], px = p[0][k], py = p[1][k], pz = p[2][k];
-    const double cx = y * pz - z * py, cy = z * px - x * pz, cz = x * py - y * px;
-    p[0][k] = px + 2.0 * (w * cx + (y * cz - z * cy));
-    p[1][k] = py + 2.0 * (w * cy + (z * cx - x * cz));
-    p[2][k] = pz + 2.0 * (w * cz + (x * cy - y * cx));
-  }
-}
-
 // Samples [span + 1, count] at a time.
 class Between {
  public:
@@ -83,19 +73,14 @@ class Mover {
   Mover(const CagsMotionTile& tile, const CagsMotionArrays& arrays) : tile_(tile), arrays_(arrays) {
     if (tile.moves) moves_ = Between(tile.moves, int64_t{3} * tile.splats, tile);
     if (tile.turns) turns_ = Between(tile.turns, int64_t{4} * tile.splats, tile);
-    if (!tile.block) return;
-    const int64_t blocks = (tile.splats + tile.block - 1) / tile.block;
-    block_shifts_ = Between(tile.block_shifts, 3 * blocks, tile), block_turns_ = Between(tile.block_turns, 3 * blocks, tile);
   }
 
   void run(int first, int end) {
     for (first_ = first; first_ < end; first_ += kRun) {
       count_ = std::min(end - first_, kRun);
       gather();
-      if (tile_.block) carry();
       if (tile_.moves) shift();
       if (tile_.turns) turn();
-      if (tile_.block || tile_.turns) make_unit(turned_, count_);
       scatter();
     }
   }
@@ -108,26 +93,6 @@ class Mover {
       const float *mean = arrays_.means + 3 * row, *quat = arrays_.quats + 4 * row;
       for (int axis = 0; axis < 3; axis++) means_[axis][k] = mean[axis];
       turned_.w[k] = quat[0], turned_.x[k] = quat[1], turned_.y[k] = quat[2], turned_.z[k] = quat[3];
-    }
-  }
-
-  // With the splats' blocks.
-  void carry() {
-    double turns[3], shifts[3];
-    for (int k = 0, at = first_; k < count_; at = (at / tile_.block + 1) * tile_.block) {
-      const int64_t block = at / tile_.block;
-      block_turns_.take(3 * block, 3, turns), block_shifts_.take(3 * block, 3, shifts);
-      for (const int end = std::min<int64_t>(count_, (block + 1) * tile_.block - first_); k < end; k++) {
-        turns_by_.w[k] = 1.0, turns_by_.x[k] = turns[0] * kTurnUnit;
-        turns_by_.y[k] = turns[1] * kTurnUnit, turns_by_.z[k] = turns[2] * kTurnUnit;
-        for (int axis = 0; axis < 3; axis++) moves_by_[axis][k] = shifts[axis] * tile_.block_unit;
-      }
-    }
-    make_unit(turns_by_, count_);
-    rotate(turns_by_, means_, count_);
-    multiply(turns_by_, turned_, count_);
-    for (int axis = 0; axis < 3; axis++) {
-      for (int k = 0; k < count_; k++) means_[axis][k] += moves_by_[axis][k];
     }
   }
 
@@ -148,15 +113,15 @@ class Mover {
     }
     make_unit(turns_by_, count_);
     multiply(turns_by_, turned_, count_);
+    make_unit(turned_, count_);
   }
 
   void scatter() const {
-    const bool turns = tile_.block || tile_.turns;
     for (int k = 0; k < count_; k++) {
       const int64_t row = tile_.rows[first_ + k];
       if (row < 0) continue;
       for (int axis = 0; axis < 3; axis++) arrays_.into_means[3 * row + axis] = static_cast<float>(means_[axis][k]);
-      if (turns)
+      if (tile_.turns)
         write_turned(k, arrays_.into_quats + 4 * row);
       else
         std::copy_n(arrays_.quats + 4 * row, 4, arrays_.into_quats + 4 * row);
@@ -174,9 +139,9 @@ class Mover {
 
   const CagsMotionTile& tile_;
   const CagsMotionArrays& arrays_;
-  Between moves_, turns_, block_shifts_, block_turns_;
+  Between moves_, turns_;
   int first_ = 0, count_ = 0;  // of the run
-  Column means_[3] = {}, moves_by_[3];
+  Column means_[3] = {};
   Quats turned_ = {}, turns_by_;
   double said_[4 * kRun];
 };
@@ -184,7 +149,6 @@ class Mover {
 // Whether each array is of its size, or not there.
 bool fits(const CagsMotionTile& tile) {
   const int64_t splats = tile.splats, samples = tile.span + 1;
-  const int64_t blocks = tile.block ? (splats + tile.block - 1) / tile.block : 0;
   const struct {
     const void* array;
     int64_t wanted;
@@ -194,8 +158,6 @@ bool fits(const CagsMotionTile& tile) {
       {tile.turns, 4 * splats * samples},
       {tile.move_steps, splats},
       {tile.turn_steps, splats},
-      {tile.block_shifts, 3 * blocks * samples},
-      {tile.block_turns, 3 * blocks * samples},
       {tile.lives, splats},
   };
   static_assert(std::size(arrays) == std::size(CagsMotionTile{}.lengths));
@@ -214,10 +176,9 @@ bool fits(const CagsMotionArrays& arrays) {
 bool valid(const CagsMotionTile& tile, int64_t capacity) {
   auto within = [](int32_t value, int32_t least, int32_t most) { return least <= value && value <= most; };
   if (!within(tile.splats, 0, CAGS_MAX_TILE_SPLATS) || !within(tile.span, 1, CAGS_MAX_SPAN)) return false;
-  if (!within(tile.sample, 0, tile.span - 1) || !within(tile.block, 0, CAGS_MAX_TILE_SPLATS) || !fits(tile)) return false;
+  if (!within(tile.sample, 0, tile.span - 1) || !fits(tile)) return false;
   if (!(tile.time >= 0.0 && tile.time <= tile.span) || !(tile.share >= 0.0 && tile.share <= 1.0)) return false;
   if ((tile.moves && !tile.move_steps) || (tile.turns && !tile.turn_steps)) return false;
-  if (tile.block && (!tile.block_shifts || !tile.block_turns)) return false;
   int32_t least = 0, most = -1;
   for (int i = 0; i < tile.splats; i++) least = std::min(least, tile.rows[i]), most = std::max(most, tile.rows[i]);
   return least >= -1 && most < capacity;

@@ -12,7 +12,7 @@ enum CagsMotionStatus : int32_t {
   CAGS_ESCAPES_END = 20,      // large residuals are missing
 };
 
-enum CagsMotionLimits : int32_t { CAGS_MAX_SPAN = 64, CAGS_MAX_TILE_SPLATS = 1 << 16 };
+enum CagsMotionLimits : int32_t { CAGS_MAX_SPAN = 64, CAGS_MAX_TILE_SPLATS = 1 << 16, CAGS_NEIGHBOURS = 8, CAGS_FIT = 8 };
 enum CagsKnotKind : int32_t { CAGS_KNOT_START = 0, CAGS_KNOT_END = 1, CAGS_KNOT_MIDDLE = 2 };
 
 struct CagsKnot {
@@ -27,27 +27,27 @@ struct CagsMotionTree {
   int32_t parts, turn;  // 3 and 0, or 4 and 1
   int32_t knots;
   int32_t first_table, first_real_table;
-  const CagsKnot* order;   // [knots]
-  const uint8_t* classes;  // [9, 1513] of a residual, by what is known and what it tells
-  int64_t classes_length;
+  int32_t unit;                // finest units a unit of the residuals, a power of two
+  const CagsKnot* order;       // [knots]
+  const uint8_t* classes;      // [8, 1324] of a residual, by what is known and what it tells
+  const int32_t* neighbours;   // [splats, 8] of each splat, which come before it
+  const float* fits;           // [splats, 8, 8] of each: share, place (3), what it adds to the slopes (3), to the level
+  const float* units;          // [splats] of the residuals, in parts of the largest
+  int64_t lengths[4];          // elements of the last four, in their order
 };
 
 // One tile at a time. Null pointers leave that part of the motion out.
 struct CagsMotionTile {
   int32_t splats, span, sample;
-  int32_t block;  // splats a block
   int32_t fades;  // not 0: opacities are left alone
-  int32_t reserved;
-  double time, share, block_unit;
-  const int32_t* rows;          // [splats] of the arrays by id; -1: left out
-  const int32_t* moves;         // [span + 1, splats, 3]
-  const int32_t* turns;         // [span + 1, splats, 4]
-  const float* move_steps;      // [splats]
-  const float* turn_steps;      // [splats]
-  const int32_t* block_shifts;  // [span + 1, blocks, 3]
-  const int32_t* block_turns;   // [span + 1, blocks, 3]
-  const uint8_t* lives;         // [splats]
-  int64_t lengths[8];           // elements of the eight, in their order: what does not fit is refused
+  double time, share;
+  const int32_t* rows;      // [splats] of the arrays by id; -1: left out
+  const int32_t* moves;     // [span + 1, splats, 3]
+  const int32_t* turns;     // [span + 1, splats, 4]
+  const float* move_steps;  // [splats]
+  const float* turn_steps;  // [splats]
+  const uint8_t* lives;     // [splats]
+  int64_t lengths[6];       // elements of the six, in their order: what does not fit is refused
 };
 
 struct CagsMotionArrays {  // by id
@@ -67,15 +67,15 @@ struct CagsSymbolsEncoding {
   int64_t lengths[7];                    // elements of the seven, in their order
 };
 
-// What is left of the samples to be said, and where it goes.
+// What the samples are to come closer to, and where it goes.
 struct CagsTreeEncoding {
-  double* left;               // [span + 1, splats, parts], every value within 2^26: what was said is taken off
+  const double* wanted;       // [span + 1, splats, parts] in finest units, every value within 2^26
+  int32_t* samples;           // of that shape, in 1/64 of the finest unit: as told so far
   uint8_t* told;              // of that shape: not 0 where a coarser level had a residual, becomes 1 where this one has
   uint8_t *tables, *symbols;  // [knots splats parts]
   int32_t* escapes;           // as many at most
-  int64_t lengths[5];         // elements of the five, in their order
+  int64_t lengths[6];         // elements of the six, in their order
   double deadzone;
-  int32_t unit, reserved;
 };
 
 // All lengths are in elements; where one does not fit the answer is CAGS_INVALID, and nothing is written.
@@ -92,8 +92,15 @@ CAGS_API int32_t cags_symbols_take(void* decoder, const uint8_t* tables, int64_t
                                    int64_t symbols_length);
 CAGS_API int32_t cags_symbols_finish(const void* decoder);
 
-// samples [span + 1, splats, parts]; *escape is the next of the escapes, little-endian and of any alignment; told, of the
-// samples' shape: not 0 where a coarser level had a residual, becomes 1 where this one has
+// Of splats at positions [splats, 3], of units [splats]: neighbours [splats, 8] and fits [splats, 8, 8]; CAGS_INVALID
+// for what is not finite
+CAGS_API int32_t cags_motion_neighbours(const float* positions, int64_t positions_length, const float* units,
+                                        int64_t units_length, int32_t* neighbours, int64_t neighbours_length, float* fits,
+                                        int64_t fits_length);
+
+// samples [span + 1, splats, parts], in 1/64 of the finest unit, are taken on by the level; *escape is the next of the
+// escapes, little-endian and of any alignment; told, of the samples' shape: not 0 where a coarser level had a residual,
+// becomes 1 where this one has
 CAGS_API int32_t cags_motion_decode_tree(const CagsMotionTree* tree, void* decoder, const uint8_t* escapes,
                                          int64_t escapes_length, int64_t* escape, uint8_t* told, int64_t told_length,
                                          int32_t* samples, int64_t samples_length);

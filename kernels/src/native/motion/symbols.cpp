@@ -7,7 +7,13 @@ namespace cags::motion {
 // Where the table ends; null for one that is damaged.
 const uint8_t* SymbolDecoder::read_table(const uint8_t* data, const uint8_t* end, int table) {
   if (data == end) return nullptr;
-  const int used = *data++ + 1;
+  const int used = *data++;
+  if (!used) {  // as the one before
+    if (!table) return nullptr;
+    std::copy_n(entries[table - 1], kSymbols, entries[table]);
+    std::copy_n(symbols[table - 1], kTotal, symbols[table]);
+    return data;
+  }
   uint32_t first = 0;
   std::fill_n(entries[table], kSymbols, Entry{0, 0});
   for (int symbol = 0; symbol < used; symbol++) {

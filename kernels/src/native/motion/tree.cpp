@@ -1,5 +1,5 @@
 // Trees of residuals, both ways. Sums of untrusted numbers wrap, as numpy's do: unsigned arithmetic.
-#include "motion/lattice.h"
+#include "motion/neighbours.h"
 #include "motion/symbols.h"
 #include "support/guarded.h"
 
@@ -14,8 +14,15 @@ constexpr int64_t kMaxSamples = int64_t{1} << 20;
 constexpr int kFractionBits = 6, kWeightBits = 12;
 constexpr int kEscape = 254;
 constexpr int kMagnitude = 63, kClasses = 10, kRealClasses = 4;  // and one more table each: residuals told before
-constexpr int kSums = 2 * 3 * kMagnitude + 2 * 6 * kMagnitude + 3 * 2 * kMagnitude + 1;  // as cags_common.motion.contexts
-constexpr int kKnown = 9;
+constexpr int kMostSpread = 756;
+constexpr double kSpread = 28.0;
+constexpr float kMostShift = 1 << 30;
+constexpr int kSums = 3 * kMagnitude + kMostSpread + 3 * 2 * kMagnitude + 1;  // as cags_common.motion.contexts
+constexpr int kParent = 1, kNear = 4, kKnown = kParent + kNear + 3;
+constexpr int kWide = 4;  // numbers kept of a splat, whatever its parts
+
+using Numbers = float __attribute__((vector_size(kWide * sizeof(float))));
+using Whole = int32_t __attribute__((vector_size(kWide * sizeof(int32_t))));
 
 bool valid(const CagsMotionTree& tree) {
   if (tree.span < 1 || tree.span > CAGS_MAX_SPAN || tree.splats < 0 || tree.splats > CAGS_MAX_TILE_SPLATS) return false;
@@ -23,7 +30,12 @@ bool valid(const CagsMotionTree& tree) {
   if (tree.turn < 0 || tree.turn > 1 || tree.parts != 3 + tree.turn) return false;
   if (std::min(tree.first_table, tree.first_real_table) < 0 || std::max(tree.first_table, tree.first_real_table) > 32)
     return false;
-  if (tree.classes_length != kKnown * kSums) return false;
+  if (tree.unit < 1 || tree.unit > 1 << 20 || !std::has_single_bit(static_cast<uint32_t>(tree.unit))) return false;
+  const int64_t near = int64_t{CAGS_NEIGHBOURS} * tree.splats;
+  const int64_t wanted[] = {kKnown * kSums, near, near * CAGS_FIT, tree.splats};
+  if (!std::equal(std::begin(wanted), std::end(wanted), tree.lengths)) return false;
+  auto known = [&](int32_t row) { return row >= 0 && row < tree.splats; };
+  if (!std::all_of(tree.neighbours, tree.neighbours + near, known)) return false;
   if (std::any_of(tree.classes, tree.classes + kKnown * kSums, [](uint8_t c) { return c >= kClasses; })) return false;
   auto within = [&](int32_t sample) { return sample >= 0 && sample <= tree.span; };
   return std::all_of(tree.order, tree.order + tree.knots, [&](const CagsKnot& knot) {
@@ -41,12 +53,12 @@ int64_t samples_of(const CagsMotionTree& tree) { return int64_t{tree.span + 1} *
 
 bool fits(const CagsTreeEncoding& given, const CagsMotionTree& tree) {
   const int64_t samples = samples_of(tree), symbols = int64_t{tree.knots} * tree.splats * tree.parts;
-  const int64_t wanted[] = {samples, samples, symbols, symbols, symbols};
+  const int64_t wanted[] = {samples, samples, samples, symbols, symbols, symbols};
   return std::equal(std::begin(wanted), std::end(wanted), given.lengths);
 }
 
 int32_t wrapped_sum(int32_t a, int32_t b) { return static_cast<int32_t>(static_cast<uint32_t>(a) + static_cast<uint32_t>(b)); }
-int32_t fixed(int32_t residual) { return static_cast<int32_t>(static_cast<uint32_t>(residual) << kFractionBits); }
+int32_t wrapped_product(int32_t a, int32_t b) { return static_cast<int32_t>(static_cast<uint32_t>(a) * static_cast<uint32_t>(b)); }
 int32_t half_of_sum(int32_t a, int32_t b) { return (a >> 1) + (b >> 1) + (a & b & 1); }  // rounded down, of the whole sum
 
 int magnitude(int32_t residual) {
@@ -112,117 +124,177 @@ struct Run {
   const Group& group;
   int part;
   const uint8_t* tables;
-  const int32_t* left;  // residuals of neighbours, each run's i-th between [i] and [i + 1]; null: none
-  int32_t* residuals;   // to be set
-  uint8_t* activity;    // to which their magnitudes are added; null: they do not count
-  const uint8_t* told;  // not 0: a coarser level told it apart, and it counts for nobody; null: none
+  const int32_t* guesses;  // [splats, kWide], from the group's first on
+  int32_t* residuals;      // to be set
+  uint8_t* activity;       // to which their magnitudes are added; null: they do not count
+  const uint8_t* told;     // not 0: a coarser level told it apart, and it counts for nobody; null: none
 };
+
+Numbers magnitude_of(const Numbers& numbers) { return numbers < 0 ? -numbers : numbers; }
+
+// The n-th of a sum.
+Numbers added(int n, const Numbers& total, const Numbers& value) { return n ? total + value : value; }
+
+float sum(const Numbers& numbers) { return ((numbers[0] + numbers[1]) + numbers[2]) + numbers[3]; }
+
+// Rounded down, of numbers that fit.
+Whole floor_of(const Numbers& numbers) {
+  const Whole whole = __builtin_convertvector(numbers, Whole);
+  return whole + (__builtin_convertvector(whole, Numbers) > numbers);  // true is -1
+}
 
 class Walk {
  public:
   explicit Walk(const CagsMotionTree& tree)
       : tree_(tree),
-        residuals_(tree.parts, Lattice<int32_t>(tree.splats)),
-        activity_(tree.splats),
-        all_activity_(size_t(tree.splats) * (tree.span + 1)),
+        off_(tree.splats),
+        activity_(size_t(tree.splats) * (tree.span + 1)),
         coded_(tree.span + 1),
+        guesses_(size_t(tree.splats) * kWide),
+        spreads_(tree.splats),
+        residuals_(kWide, std::vector<int32_t>(tree.splats)),
         size_(tree.splats),
         which_(tree.splats),
-        told_(tree.splats) {}
+        told_(tree.splats),
+        counted_(tree.splats) {}
 
-  // [splats] of the last knot.
-  const int32_t* residuals(int part) const { return residuals_[part].left(); }
-
-  // Goes through the residuals of `knot`: code(run) sets those of each run and returns a status. `told` [splats, parts]
-  // are not 0 where a coarser level told them apart.
+  // Goes through the residuals of `knot`: code(run) sets those of each run and returns a status. `line` [splats, parts]
+  // is what the samples before lead to expect, `samples` of that shape are taken on, and so are those that are `told`.
   template <typename Code>
-  int32_t knot(const CagsKnot& knot, const uint8_t* told, const Code& code) {
-    const size_t all_told = size_t(tree_.splats) * tree_.parts;
-    if (std::none_of(told, told + all_told, [](uint8_t value) { return value != 0; })) told = nullptr;
-    uint8_t* all = all_activity_.data() + size_t(tree_.splats) * knot.at;
+  int32_t knot(const CagsKnot& knot, const int32_t* line, int32_t* samples, uint8_t* told, const Code& code) {
+    const int64_t count = int64_t{tree_.splats} * tree_.parts;
+    const bool any_told = std::any_of(told, told + count, [](uint8_t value) { return value != 0; });
+    uint8_t* activity = activity_.data() + size_t(tree_.splats) * knot.at;
     const bool has_parent = knot.parent >= 0 && coded_[knot.parent];
-    const uint8_t* parent = has_parent ? all_activity_.data() + size_t(tree_.splats) * knot.parent : nullptr;
-    activity_.clear();
-    for (Lattice<int32_t>& part : residuals_) part.clear();
-    for (int index = 0; index < int(std::size(kStrides)); index++) {
+    const uint8_t* parent = has_parent ? activity_.data() + size_t(tree_.splats) * knot.parent : nullptr;
+    std::fill(off_.begin(), off_.end(), Numbers{});
+    for (int index = 0; index < kGroups; index++) {
       const Group group(index, tree_.splats);
-      uint8_t* activity = activity_.fresh();
-      std::fill_n(activity, group.count, uint8_t{0});
-      measure(group, parent);
-      const int known = 2 * has_parent + 4 * group.between;
+      unit_ = (tree_.unit << kFractionBits) / group.finer, spread_unit_ = static_cast<float>(kSpread / unit_);
+      std::fill_n(counted_.data(), group.count, uint8_t{0});
+      for (int k = 0; k < group.count; k++) size_[k] = parent ? parent[group.splat(k)] : 0;
+      for (int k = 0; k < group.count; k++) {
+        if (!any_told || !all_told(told + int64_t{group.splat(k)} * tree_.parts)) expect(group, k, line);
+      }
+      if (any_told) keep(group, samples, told);
+      const int known = kParent * has_parent + kNear * group.between;
       for (int part = tree_.turn; part < tree_.parts; part++) {
-        choose(group.count, activity, known + part - tree_.turn);
-        if (told) set_apart(group, told + part, tree_.first_table + kClasses);
-        if (const int32_t status = code(run(group, part, activity, told))) return status;
+        choose(group.count, known + part - tree_.turn, part);
+        if (any_told) set_apart(group, told + part, tree_.first_table + kClasses);
+        if (const int32_t status = code(run(group, part, counted_.data(), any_told))) return status;
       }
       if (tree_.turn) {
-        choose_real(group.count, activity);
-        if (told) set_apart(group, told, tree_.first_real_table + kRealClasses);
-        if (const int32_t status = code(run(group, 0, nullptr, told))) return status;
+        choose_real(group.count);
+        if (any_told) set_apart(group, told, tree_.first_real_table + kRealClasses);
+        if (const int32_t status = code(run(group, 0, nullptr, any_told))) return status;
       }
-      all = std::copy_n(activity, group.count, all);
-      if (parent) parent += group.count;
-      activity_.merge(group);
-      for (Lattice<int32_t>& part : residuals_) part.merge(group);
+      for (int k = 0; k < group.count; k++) activity[group.splat(k)] = counted_[k];
+      for (int k = 0; k < group.count; k++) settle(group.splat(k), k, line, samples, told);
     }
     coded_[knot.at] = true;
     return CAGS_OK;
   }
 
  private:
-  Run run(const Group& group, int part, uint8_t* activity, const uint8_t* told) {
-    Lattice<int32_t>& lattice = residuals_[part];
-    const int32_t* left = group.between ? lattice.left() : nullptr;
-    return {group, part, which_.data(), left, lattice.fresh(), activity, told ? told_.data() : nullptr};
+  Run run(const Group& group, int part, uint8_t* activity, bool any_told) {
+    return {group, part, which_.data(), guesses_.data() + part, residuals_[part].data(), activity, any_told ? told_.data() : nullptr};
+  }
+
+  bool all_told(const uint8_t* told) const {
+    return std::all_of(told, told + tree_.parts, [](uint8_t value) { return value != 0; });
+  }
+
+  // What the neighbours of the k-th splat lead to expect of it, and how uncertain that is.
+  void expect(const Group& group, int k, const int32_t* line) {
+    const int i = group.splat(k);
+    const int32_t* near = tree_.neighbours + CAGS_NEIGHBOURS * i;
+    const float* fits = tree_.fits + CAGS_NEIGHBOURS * CAGS_FIT * i;
+    line += int64_t{tree_.parts} * i;
+    Numbers offs[CAGS_NEIGHBOURS], size = {}, level = {}, slopes[3] = {};
+    for (int n = 0; n < CAGS_NEIGHBOURS; n++) offs[n] = off_[near[n]], size += magnitude_of(offs[n]);
+    if (sum(size) == 0.0f) {
+      std::copy_n(line, tree_.parts, guesses_.data() + kWide * k), spreads_[k] = Whole{};
+      return;
+    }
+    for (int n = 0; n < CAGS_NEIGHBOURS; n++) {
+      const float* fit = fits + CAGS_FIT * n;
+      for (int axis = 0; axis < 3; axis++) slopes[axis] = added(n, slopes[axis], offs[n] * fit[4 + axis]);
+      level = added(n, level, offs[n] * fit[7]);
+    }
+    Numbers missed = {}, energy = {}, spread = {};
+    for (int n = 0; n < CAGS_NEIGHBOURS; n++) {
+      const float* fit = fits + CAGS_FIT * n;
+      const Numbers fitted = ((level + fit[1] * slopes[0]) + fit[2] * slopes[1]) + fit[3] * slopes[2];
+      const Numbers apart = offs[n] - fitted;
+      missed = added(n, missed, apart * apart * fit[0]), energy = added(n, energy, offs[n] * offs[n] * fit[0]);
+      spread = added(n, spread, magnitude_of(apart) * fit[0]);
+    }
+    const float left = sum(missed), all = sum(energy), unit = tree_.units[i];
+    spread = spread / unit * spread_unit_;
+    spreads_[k] = __builtin_convertvector(spread < kMostSpread ? spread : Numbers{} + kMostSpread, Whole);
+    const Numbers shift = level * (left < all ? 1.0f - left / all : 0.0f) / unit;
+    const Whole whole = floor_of((magnitude_of(shift) < kMostShift ? shift : Numbers{}) + 0.5f);
+    for (int part = 0; part < tree_.parts; part++) guesses_[kWide * k + part] = wrapped_sum(line[part], whole[part]);
+  }
+
+  // What a coarser level told apart is not guessed again.
+  void keep(const Group& group, const int32_t* samples, const uint8_t* told) {
+    for (int k = 0; k < group.count; k++) {
+      const int64_t first = int64_t{group.splat(k)} * tree_.parts;
+      for (int part = 0; part < tree_.parts; part++) {
+        if (told[first + part]) guesses_[kWide * k + part] = samples[first + part];
+      }
+    }
   }
 
   // Gives residuals that a coarser level told apart their own table.
   void set_apart(const Group& group, const uint8_t* told, int table) {
-    const int64_t step = int64_t{group.step} * tree_.parts;
-    told += int64_t{group.first} * tree_.parts;
-    for (int i = 0; i < group.count; i++) {
-      told_[i] = told[i * step] != 0;
-      if (told_[i]) which_[i] = static_cast<uint8_t>(table);
+    for (int k = 0; k < group.count; k++) {
+      told_[k] = told[int64_t{group.splat(k)} * tree_.parts] != 0;
+      if (told_[k]) which_[k] = static_cast<uint8_t>(table);
     }
   }
 
-  void measure(const Group& group, const uint8_t* parent) {
-    uint16_t* __restrict size = size_.data();
-    const uint8_t* __restrict left = activity_.left();
-    const int count = group.count;
-    std::fill_n(size, count, uint16_t{0});
-    if (parent) {
-      for (int i = 0; i < count; i++) size[i] = static_cast<uint16_t>(2 * parent[i]);
-    }
-    if (group.between) {
-      for (int i = 0; i < count; i++) size[i] = static_cast<uint16_t>(size[i] + 2 * (left[i] + left[i + 1]));
-    }
-  }
-
-  void choose(int count, const uint8_t* activity, int known) {
+  void choose(int count, int known, int part) {
     const uint8_t* __restrict classes = tree_.classes + known * kSums;
     const uint16_t* __restrict size = size_.data();
-    const int first = tree_.first_table;
+    const uint8_t* __restrict counted = counted_.data();
     uint8_t* __restrict which = which_.data();
-    for (int i = 0; i < count; i++) which[i] = static_cast<uint8_t>(first + classes[size[i] + 3 * activity[i]]);
+    for (int k = 0; k < count; k++) {
+      which[k] = static_cast<uint8_t>(tree_.first_table + classes[size[k] + spreads_[k][part] + 3 * counted[k]]);
+    }
   }
 
-  void choose_real(int count, const uint8_t* activity) {
+  void choose_real(int count) {
     uint8_t* __restrict which = which_.data();
-    const uint8_t first = static_cast<uint8_t>(tree_.first_real_table);
-    for (int i = 0; i < count; i++) {
-      const uint8_t a = activity[i];
-      which[i] = static_cast<uint8_t>(first + (a > 0) + (a > 2) + (a > 6));
+    for (int k = 0; k < count; k++) {
+      const uint8_t a = counted_[k];
+      which[k] = static_cast<uint8_t>(tree_.first_real_table + (a > 0) + (a > 2) + (a > 6));
+    }
+  }
+
+  void settle(int i, int k, const int32_t* line, int32_t* samples, uint8_t* told) {
+    const int64_t first = int64_t{i} * tree_.parts;
+    for (int part = 0; part < tree_.parts; part++) {
+      const int32_t residual = residuals_[part][k];
+      const int32_t value = wrapped_sum(guesses_[kWide * k + part], wrapped_product(residual, unit_));
+      samples[first + part] = value;
+      off_[i][part] = static_cast<float>(int64_t{value} - line[first + part]) * tree_.units[i];
+      told[first + part] = static_cast<uint8_t>(told[first + part] | (residual != 0));
     }
   }
 
   const CagsMotionTree& tree_;
-  std::vector<Lattice<int32_t>> residuals_;
-  Lattice<uint8_t> activity_;
-  std::vector<uint8_t> all_activity_;  // [span + 1, splats] in the order of coding
-  std::vector<bool> coded_;
+  int32_t unit_ = 1;               // of the group, in 1/64 of the finest unit
+  float spread_unit_ = 0.0f;
+  std::vector<Numbers> off_;                  // [splats] of what their line leads to expect; 0: not coded yet
+  std::vector<uint8_t> activity_;             // [span + 1, splats]
+  std::vector<bool> coded_;                   // [span + 1]
+  std::vector<int32_t> guesses_;              // of the group
+  std::vector<Whole> spreads_;
+  std::vector<std::vector<int32_t>> residuals_;
   std::vector<uint16_t> size_;
-  std::vector<uint8_t> which_, told_;
+  std::vector<uint8_t> which_, told_, counted_;
 };
 
 struct Escapes {
@@ -262,35 +334,11 @@ bool unfold(const Run& run, const uint8_t* symbols, Escapes& escapes) {
   return true;
 }
 
-void flip(const Run& run, int32_t* out) {
-  const int count = run.group.count;
-  const int32_t* __restrict left = run.left;
-  const int32_t* residuals = run.residuals;
-  for (int i = 0; i < count; i++) {
-    const int32_t sign = half_of_sum(left[i], left[i + 1]) >> 31;
-    out[i] = wrapped_sum(residuals[i] ^ sign, -sign);
-  }
-}
-
-// To guesses, which count for nothing where a coarser level told the residuals apart; and those that there are become told.
-template <int Parts>
-void add_residuals(const Walk& walk, int splats, int32_t* __restrict sample, uint8_t* __restrict told) {
-  const int32_t* planes[Parts];
-  for (int part = 0; part < Parts; part++) planes[part] = walk.residuals(part);
-  for (int i = 0; i < splats; i++, sample += Parts, told += Parts) {
-    for (int part = 0; part < Parts; part++) {
-      const int32_t residual = planes[part][i];
-      sample[part] = wrapped_sum(told[part] ? 0 : sample[part], fixed(residual));
-      told[part] = static_cast<uint8_t>(told[part] | (residual != 0));
-    }
-  }
-}
-
 int32_t decode(const CagsMotionTree& tree, SymbolDecoder& decoder, Escapes& escapes, uint8_t* told, int32_t* samples) {
   Walk walk(tree);
-  std::vector<uint8_t> symbols(tree.splats);
   const int64_t row_size = int64_t{tree.splats} * tree.parts;
-  std::fill_n(samples, row_size * (tree.span + 1), 0);
+  std::vector<uint8_t> symbols(tree.splats);
+  std::vector<int32_t> line(row_size);
   const bool all_there = std::max(tree.first_table + kClasses, tree.first_real_table + kRealClasses) < decoder.tables;
   auto code = [&](const Run& run) -> int32_t {
     const int count = run.group.count;
@@ -303,24 +351,22 @@ int32_t decode(const CagsMotionTree& tree, SymbolDecoder& decoder, Escapes& esca
     } else if (!unfold(run, symbols.data(), escapes)) {
       return CAGS_ESCAPES_END;
     }
-    if (run.left) flip(run, run.residuals);
     return CAGS_OK;
   };
   for (const CagsKnot* knot = tree.order; knot < tree.order + tree.knots; knot++) {
-    int32_t* sample = samples + knot->at * row_size;
-    uint8_t* apart = told + knot->at * row_size;
-    if (const int32_t status = walk.knot(*knot, apart, code)) return status;
-    predict(*knot, row_size, samples, sample);
-    tree.turn ? add_residuals<4>(walk, tree.splats, sample, apart) : add_residuals<3>(walk, tree.splats, sample, apart);
+    predict(*knot, row_size, samples, line.data());
+    int32_t* row = samples + knot->at * row_size;
+    if (const int32_t status = walk.knot(*knot, line.data(), row, told + knot->at * row_size, code)) return status;
   }
   return CAGS_OK;
 }
 
 struct Quantiser {
-  double to_units, deadzone;
+  double unit, deadzone;
 
-  int32_t operator()(double wanted, int32_t guess, bool told) const {
-    const double off = wanted * to_units - guess * (1.0 / (1 << kFractionBits));
+  int32_t operator()(double wanted, int32_t guess, bool told, int finer) const {
+    const double fixed = unit * (1 << kFractionBits) / finer;
+    const double off = wanted * ((1 << kFractionBits) / fixed) - guess / fixed;
     const double size = std::fabs(off) + (told ? 0.5 : 0.5 - deadzone);
     const int32_t whole = size < 0x1p30 ? static_cast<int32_t>(size) : 1 << 30;
     return off < 0 ? -whole : whole;
@@ -349,44 +395,28 @@ struct Written {
   }
 };
 
-void encode(const CagsMotionTree& tree, double* left, uint8_t* told, int32_t unit, double deadzone, Written& out) {
+void encode(const CagsMotionTree& tree, const CagsTreeEncoding& given, Written& out) {
   Walk walk(tree);
-  const int64_t row_size = int64_t{tree.splats} * tree.parts, all = row_size * (tree.span + 1);
-  std::vector<int32_t> samples(all), residuals(row_size + 1), values(tree.splats + 1);
-  const Quantiser quantised{1.0 / unit, deadzone};
-  auto code = [&](const Run& run) -> int32_t {
-    const int64_t step = int64_t{run.group.step} * tree.parts;
-    const int32_t* from = residuals.data() + int64_t{run.group.first} * tree.parts + run.part;
-    const int size = run.group.count;
-    int32_t* __restrict to = run.residuals;
-    for (int i = 0; i < size; i++) to[i] = from[i * step];
-    uint8_t* __restrict activity = run.activity;
-    for (int i = 0; activity && i < size; i++) {
-      if (!run.told || !run.told[i]) activity[i] = static_cast<uint8_t>(activity[i] + magnitude(to[i]));
-    }
-    if (!run.left) {
-      out.put(run, to);
-    } else {
-      flip(run, values.data());
-      out.put(run, values.data());
-    }
-    return CAGS_OK;
-  };
+  const int64_t row_size = int64_t{tree.splats} * tree.parts;
+  std::vector<int32_t> line(row_size);
+  const Quantiser quantised{double(tree.unit), given.deadzone};
   for (const CagsKnot* knot = tree.order; knot < tree.order + tree.knots; knot++) {
-    int32_t* sample = samples.data() + knot->at * row_size;
-    predict(*knot, row_size, samples.data(), sample);
-    const double* wanted = left + knot->at * row_size;
-    uint8_t* apart = told + knot->at * row_size;
-    for (int64_t i = 0; i < row_size; i++) {
-      const int32_t guess = apart[i] ? 0 : sample[i];
-      residuals[i] = quantised(wanted[i], guess, apart[i]);
-      sample[i] = wrapped_sum(guess, fixed(residuals[i]));
-    }
-    walk.knot(*knot, apart, code);
-    for (int64_t i = 0; i < row_size; i++) apart[i] = static_cast<uint8_t>(apart[i] | (residuals[i] != 0));
+    const double* wanted = given.wanted + knot->at * row_size;
+    auto code = [&](const Run& run) -> int32_t {
+      const Group& group = run.group;
+      for (int k = 0; k < group.count; k++) {
+        const double goal = wanted[int64_t{group.splat(k)} * tree.parts + run.part];
+        run.residuals[k] = quantised(goal, run.guesses[kWide * k], run.told && run.told[k], group.finer);
+        if (run.activity && !(run.told && run.told[k])) {
+          run.activity[k] = static_cast<uint8_t>(run.activity[k] + magnitude(run.residuals[k]));
+        }
+      }
+      out.put(run, run.residuals);
+      return CAGS_OK;
+    };
+    predict(*knot, row_size, given.samples, line.data());
+    walk.knot(*knot, line.data(), given.samples + knot->at * row_size, given.told + knot->at * row_size, code);
   }
-  const double scale = unit * (1.0 / (1 << kFractionBits));
-  for (int64_t i = 0; i < all; i++) left[i] -= samples[i] * scale;
 }
 
 }  // namespace
@@ -406,10 +436,9 @@ int32_t cags_motion_decode_tree(const CagsMotionTree* tree, void* decoder, const
 }
 
 int32_t cags_motion_encode_tree(const CagsMotionTree* tree, const CagsTreeEncoding* given, int64_t* escape_count) {
-  const int32_t unit = given->unit;
-  if (!valid(*tree) || !fits(*given, *tree) || unit < 1 || !std::has_single_bit(static_cast<uint32_t>(unit))) return CAGS_INVALID;
+  if (!valid(*tree) || !fits(*given, *tree)) return CAGS_INVALID;
   Written out{given->tables, given->symbols, given->escapes};
-  const int32_t ran = cags::guarded([&] { encode(*tree, given->left, given->told, unit, given->deadzone, out); });
+  const int32_t ran = cags::guarded([&] { encode(*tree, *given, out); });
   *escape_count = out.escape_count;
   return ran;
 }

@@ -15,7 +15,7 @@ from cags_common.bundle.codecs import MotionTile
 from cags_common.bundle.reader import MANIFEST_NAME
 from cags_common.geometry import Camera
 from cags_common.splats import Splats
-from cags_common.store.tile_decode import OpenTile, in_view, open_tile
+from cags_common.store.tile_decode import First, OpenTile, in_view, open_tile
 from cags_common.tiles.kinds import TileKind
 from cags_common.tiles.updates import UpdateState
 from cags_encoder.pipeline import encode
@@ -32,9 +32,12 @@ class Ladder:
         self._codec = reader.codec
         looks = [tile for tile in reader.frame(0).tiles if tile.kind is TileKind.LOOKS]  # motion begins at rest
         self._payloads = [[reader.payload(0, t.tile, lod) for lod in range(len(t.lod_bytes))] for t in looks]
-        self._opened = [self._bare(memoryview(payloads[0])) for payloads in self._payloads]
+        self._opened = [
+            self._bare(First((0, t.tile), 0, memoryview(payloads[0])))
+            for t, payloads in zip(looks, self._payloads, strict=True)
+        ]
 
-    def _bare(self, base: memoryview) -> OpenTile:
+    def _bare(self, base: First) -> OpenTile:
         """Where a tile is and how many splats it has."""
         opened = open_tile(self._codec, base)
         assert isinstance(opened, OpenTile)

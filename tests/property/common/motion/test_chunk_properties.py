@@ -21,11 +21,12 @@ from cags_common.motion.chunk import (
     LEVELS,
     MAX_SAMPLES,
     REFINEMENT,
-    Blocks,
     Chunk,
     ChunkDecoder,
     encode,
 )
+from cags_common.motion.neighbours import Anchors
+from support.anchors import KINDS, any_looks, scattered
 
 native_only = pytest.mark.skipif(not cags_kernels.native_available(), reason="needs the native kernels")
 SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large]
@@ -40,12 +41,13 @@ SIZES = (0.0, 1e-9, 0.3, 3.0, 60.0, 5e3, 1e6, 3e7)
 class Case:
     """What a chunk is made of."""
 
+    anchors: Anchors
     moves: Any
     turns: Any
     options: dict[str, Any]
 
     def encode(self, *, native: bool) -> tuple[bytes, ...]:
-        return encode((5, 9), self.moves, self.turns, native=native, **self.options)
+        return encode((5, 9), self.anchors, self.moves, self.turns, native=native, **self.options)
 
 
 def residuals(random: np.random.Generator, shape: tuple[int, int, int], sizes: list[float]) -> np.ndarray:
@@ -69,16 +71,12 @@ def cases(draw: st.DrawFn, most: int = 120) -> Case:
     if draw(st.booleans()):
         centres = random.integers(-(10 ** draw(st.integers(1, 9))), 1000, splats)
         options["fades"] = np.stack([random.integers(0, len(FADE_WIDTHS) + 1, splats), centres], axis=1)
-    if draw(st.booleans()):
-        size = draw(st.integers(1, 70))
-        shape = (span + 1, -(-splats // size), 3)
-        shifts, turns = (random.integers(-(2 ** draw(st.integers(1, 31))), 2**20, shape).astype(np.int32) for _ in "ab")
-        options["blocks"] = Blocks(size, draw(st.sampled_from([0.0, 1e-3, 1e9])), shifts, turns)
-    return Case(*parts, options)
+    anchors = any_looks(random, splats, draw(st.sampled_from(KINDS)))
+    return Case(anchors, *parts, options)
 
 
-def decoded(payloads: tuple[bytes, ...], *, native: bool, levels: int = LEVELS) -> Chunk:
-    decoder = ChunkDecoder(payloads[0], native=native)
+def decoded(payloads: tuple[bytes, ...], anchors: Anchors, *, native: bool, levels: int = LEVELS) -> Chunk:
+    decoder = ChunkDecoder(payloads[0], anchors, native=native)
     for payload in payloads[1:levels]:
         decoder.add_level(payload)
     return decoder.chunk
@@ -103,7 +101,7 @@ def test_so_it_does_by_the_kernel(case: Case) -> None:
 
 def check_round_trip(case: Case, *, native: bool) -> None:
     payloads = case.encode(native=native)
-    coarse, fine = (decoded(payloads, native=native, levels=levels) for levels in (1, LEVELS))
+    coarse, fine = (decoded(payloads, case.anchors, native=native, levels=levels) for levels in (1, LEVELS))
     unit = REFINEMENT ** (LEVELS - 1)
     for name, wanted in (("moves", case.moves), ("turns", case.turns)):
         for chunk, bound in ((coarse, unit * (0.5 + DEADZONES[0])), (fine, 0.5 + DEADZONES[-1])):
@@ -114,10 +112,6 @@ def check_round_trip(case: Case, *, native: bool) -> None:
                 assert not got[:first].any()
                 assert np.abs(got[first:] / 64 - wanted[first:]).max(initial=0) <= bound + 1e-6
     assert same(fine.lives, case.options.get("lives"))
-    if "blocks" in case.options:
-        assert fine.blocks is not None
-        for part in ("shifts", "turns"):
-            assert np.array_equal(getattr(fine.blocks, part), getattr(case.options["blocks"], part))
     if "fades" in case.options:
         assert fine.fades is not None
         assert np.array_equal(np.isfinite(fine.fades[:, 1]), case.options["fades"][:, 0] > 0)
@@ -130,17 +124,17 @@ def test_levels_that_say_nothing_are_empty_and_need_not_come(case: Case, moves: 
     payloads = replace(case, options=case.options | {"told": (moves, turns)}).encode(native=False)
     count = max(levels for name, levels in told.items() if getattr(case, name) is not None)
     assert [len(payload) > 0 for payload in payloads] == [level < count for level in range(LEVELS)]
-    tile = MotionTile(payloads[0])
+    tile = MotionTile(payloads[0], case.anchors)
     for level in range(1, count):
         assert tile.lod == level - 1
         tile.add_layer(level, payloads[level])
     assert tile.lod == LEVELS - 1
-    whole = decoded(payloads, native=False)
+    whole = decoded(payloads, case.anchors, native=False)
     assert same(tile.chunk.moves, whole.moves)
     assert same(tile.chunk.turns, whole.turns)
     if count < LEVELS:
         with pytest.raises(DecodeError, match="too much"):
-            decoded((*payloads[:count], b"more"), native=False)
+            decoded((*payloads[:count], b"more"), case.anchors, native=False)
 
 
 @native_only
@@ -150,9 +144,23 @@ def test_the_kernel_writes_the_definitions_bytes_and_reads_its_samples(case: Cas
     payloads = case.encode(native=True)
     assert payloads == case.encode(native=False)
     for levels in range(1, LEVELS + 1):
-        mine, theirs = (decoded(payloads, native=native, levels=levels) for native in (True, False))
+        mine, theirs = (decoded(payloads, case.anchors, native=native, levels=levels) for native in (True, False))
         for name in ("moves", "turns", "lives", "fades"):
             assert same(getattr(mine, name), getattr(theirs, name)), name
+
+
+@native_only
+@given(cases(60), st.integers(0, 2**32 - 1))
+@FEW
+def test_on_other_looks_than_it_was_encoded_on_a_chunk_is_another_one_and_both_ways_agree(
+    case: Case, seed: int
+) -> None:
+    payloads, random = case.encode(native=True), np.random.default_rng(seed)
+    other = any_looks(random, len(case.anchors), str(random.choice(KINDS)))
+    mine, theirs = (attempt(payloads, other, native=native) for native in (True, False))
+    assert (mine is None) == (theirs is None)
+    for name in ("moves", "turns", "lives", "fades"):
+        assert mine is None or same(getattr(mine, name), getattr(theirs, name)), name
 
 
 @native_only
@@ -162,7 +170,7 @@ def test_symbols_by_any_lanes_tables_and_runs(lanes: int, tables: int, runs: lis
     random, count = np.random.default_rng(seed), sum(runs)
     which = random.integers(0, tables, count).astype(np.uint8)
     skew = random.uniform(0.02, 1.0, tables)
-    symbols = (random.geometric(skew[which]) - 1).clip(0, 255).astype(np.uint8)
+    symbols = (random.geometric(skew[which]) - 1).clip(0, rans.MAX_SYMBOLS - 1).astype(np.uint8)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rans, "SYMBOLS_A_LANE", max(count // lanes, 1))
         data = rans.encode(which, symbols, np.array(runs, np.int64), native=True)
@@ -174,10 +182,10 @@ def test_symbols_by_any_lanes_tables_and_runs(lanes: int, tables: int, runs: lis
         decoder.finish()
 
 
-def attempt(payloads: tuple[bytes, ...], *, native: bool) -> Chunk | None:
+def attempt(payloads: tuple[bytes, ...], anchors: Anchors, *, native: bool) -> Chunk | None:
     """The chunk, or None when it is refused as it should be; anything else that is raised is a fault."""
     try:
-        return decoded(payloads, native=native)
+        return decoded(payloads, anchors, native=native)
     except DecodeError:
         return None
 
@@ -199,9 +207,11 @@ def test_damage_is_refused_or_is_another_chunk_and_both_ways_agree(case: Case, w
     random = np.random.default_rng(seed)
     payloads = list(case.encode(native=cags_kernels.native_available()))
     payloads[level] = damaged(payloads[level], random, way)
-    claimed = int.from_bytes(payloads[0][12:16], "little") * (payloads[0][2] + 1) if len(payloads[0]) > 16 else 0
-    both = cags_kernels.native_available() and claimed < 20_000
-    chunks = [attempt(tuple(payloads), native=native) for native in ((True, False) if both else (both,))]
+    claimed = int.from_bytes(payloads[0][13:17], "little") if len(payloads[0]) > 16 else 0
+    few = claimed * (payloads[0][2] + 1 if claimed else 0) < 20_000
+    both = cags_kernels.native_available() and few
+    anchors = scattered(claimed, 1) if few and claimed != len(case.anchors) else case.anchors
+    chunks = [attempt(tuple(payloads), anchors, native=native) for native in ((True, False) if both else (both,))]
     assert len({chunk is None for chunk in chunks}) == 1
     for chunk in chunks:
         if chunk is None:
@@ -250,7 +260,7 @@ def test_tiles_at_a_time_by_the_kernel_are_the_definition_bit_for_bit(
     given_cases: list[Case], threads: int, data: st.DataObject
 ) -> None:
     random = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
-    chunks = [decoded(case.encode(native=True), native=True) for case in given_cases]
+    chunks = [decoded(case.encode(native=True), case.anchors, native=True) for case in given_cases]
     ids = random.permutation(sum(chunk.splats for chunk in chunks) + 7).astype(np.int32)
     ends = np.cumsum([chunk.splats for chunk in chunks])
     tiles = []

@@ -10,7 +10,10 @@ import pytest
 import cags_kernels
 from cags_common.errors import DecodeError
 from cags_common.motion.chunk import ChunkDecoder, encode
+from support.anchors import scattered
 from support.mutation import mutate
+
+LOOKS = scattered(24)
 
 
 @cache
@@ -19,12 +22,12 @@ def original() -> tuple[bytes, ...]:
     time = np.linspace(0, 3, 9)[:, None, None]
     moves, turns = (np.sin(time * rng.uniform(0, 2, (24, 3 + more))) * 20 for more in (0, 1))
     lives = rng.integers(0, 9, 24).astype(np.uint8)
-    return encode((5, 9), moves, turns, starts=True, lives=lives)
+    return encode((5, 9), LOOKS, moves, turns, starts=True, lives=lives)
 
 
 def reads(payloads: tuple[bytes, ...], *, native: bool) -> bool:
     try:
-        decoder = ChunkDecoder(payloads[0], native=native)
+        decoder = ChunkDecoder(payloads[0], LOOKS, native=native)
         for payload in payloads[1:]:
             decoder.add_level(payload)
     except DecodeError as error:

@@ -48,7 +48,7 @@ def test_a_fork_and_its_origin_do_not_know_of_each_other(kind: str, data: st.Dat
     lods = len(reader.frame(key[0]).tiles[key[1]].lod_bytes)
     order = data.draw(st.permutations(range(1, lods)))
     at = data.draw(st.integers(0, len(order)))
-    one, other = (reader.codec.open_tile(reader.payload(*key, 0)) for _ in range(2))
+    one, other = (reader.open_tile(*key) for _ in range(2))
     for lod in order[:at]:
         one.add_layer(lod, reader.payload(*key, lod))
         other.add_layer(lod, reader.payload(*key, lod))
@@ -70,7 +70,7 @@ def test_a_reduced_decoder_is_as_if_no_more_had_come(kind: str, data: st.DataObj
     reader = bundle(kind)
     key = data.draw(st.sampled_from(tiles(reader)))
     lods = len(reader.frame(key[0]).tiles[key[1]].lod_bytes)
-    whole, less = (reader.codec.open_tile(reader.payload(*key, 0)) for _ in range(2))
+    whole, less = (reader.open_tile(*key) for _ in range(2))
     if isinstance(whole, MotionTile):
         return
     for lod in data.draw(st.lists(st.integers(1, lods - 1), max_size=2 * lods)) if lods > 1 else []:

@@ -9,7 +9,7 @@ import pytest
 
 import cags_kernels
 from cags_common.motion.apply import ABSENT_LOGIT, Looks, MovingTile, Steps, evaluate, move_rows
-from cags_common.motion.chunk import Blocks, Chunk
+from cags_common.motion.chunk import Chunk
 
 SPAN, SPLATS = 4, 3
 
@@ -23,7 +23,7 @@ def looks_of(count: int = SPLATS) -> Looks:
 
 
 def still(**parts: object) -> Chunk:
-    return replace(Chunk((0, 0), SPAN, SPLATS, None, None, None, None, None, True), **parts)  # type: ignore[arg-type]
+    return replace(Chunk((0, 0), SPAN, SPLATS, None, None, None, None, True), **parts)  # type: ignore[arg-type]
 
 
 STEPS = Steps(np.full(SPLATS, 0.5, np.float32), np.full(SPLATS, 0.25, np.float32))
@@ -57,17 +57,6 @@ def test_a_rotation_through_half_a_turn_and_beyond_keeps_its_way() -> None:
         wanted = np.array([np.cos(angles[time] / 2), 0, 0, np.sin(angles[time] / 2)])
         assert np.allclose(np.abs(quats @ wanted), 1, atol=1e-4)
         assert (quats[:, 0] >= 0).all() and np.allclose(np.linalg.norm(quats, axis=1), 1, atol=1e-6)
-
-
-def test_blocks_turn_their_splats_about_the_origin_and_shift_them() -> None:
-    shifts, turns = np.zeros((SPAN + 1, 2, 3), np.int32), np.zeros((SPAN + 1, 2, 3), np.int32)
-    turns[:, 0, 2], shifts[:, 1, 1] = 4096, 7  # 90 degrees about z; 7 units along y
-    looks = looks_of()
-    moved = evaluate(still(blocks=Blocks(2, 0.5, shifts, turns)), 0.5, looks, STEPS)
-    x, y, z = looks.means[:2].T
-    assert np.allclose(moved.means[:2], np.stack([-y, x, z], axis=1), atol=1e-6)
-    assert np.allclose(moved.means[2], looks.means[2] + [0, 3.5, 0], atol=1e-6)
-    assert np.allclose(moved.quats[2], looks.quats[2], atol=1e-6)
 
 
 def test_a_life_ends_when_its_last_frame_has_passed_and_none_does_at_the_spans_end() -> None:
@@ -125,20 +114,16 @@ def test_what_does_not_fit_is_refused_and_nothing_written(rows: list[int], time:
 
 
 def mixed(count: int, seed: int) -> Chunk:
-    """Blocks of seven, of which some turn; splats that move, turn, stand elsewhere, fade, end, or stand still."""
+    """Splats that move, turn, stand elsewhere, fade, end, or stand still."""
     random = np.random.default_rng(seed)
     kinds = random.choice(6, count, p=[0.6, *[0.08] * 5])
     moves, turns = (random.integers(-99, 99, (SPAN + 1, count, width)).astype(np.int32) for width in (3, 4))
     for part, moving in ((moves, 1), (turns, 2)):
         part[:, (kinds != moving) & (kinds != 3)] = 0
         part[:, kinds == 3] = part[0, kinds == 3]
-    rigid = [random.integers(-99, 99, (SPAN + 1, -(-count // 7), 3)).astype(np.int32) for _ in range(2)]
-    for part in rigid:
-        part[:, 1::2] = part[0, 1::2]
     fades = np.where(kinds[:, None] == 4, [2, 1], [0, np.inf]).astype(np.float32)
     lives = np.where(kinds == 5, 2, SPAN + 1).astype(np.uint8)
-    blocks = Blocks(7, 0.01, *rigid) if seed % 2 else None
-    parts = {"splats": count, "moves": moves, "turns": turns, "fades": fades, "lives": lives, "blocks": blocks}
+    parts = {"splats": count, "moves": moves, "turns": turns, "fades": fades, "lives": lives}
     return still(**parts)
 
 

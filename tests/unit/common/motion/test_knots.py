@@ -40,10 +40,10 @@ def test_a_guess_is_rounded_down_on_both_sides_of_zero() -> None:
 
 
 def test_residuals_round_to_the_nearest_unit_outside_of_the_dead_zone() -> None:
-    wanted, guess = np.array([0.49, 0.51, -0.51, 1.4, -1.6]), np.zeros(5, np.int32)
+    wanted, guess = np.array([0.49, 0.51, -0.51, 1.4, -1.6]), np.zeros(5)
     assert quantised(wanted, guess, 0.0).tolist() == [0, 1, -1, 1, -2]
     assert quantised(wanted, guess, 0.25).tolist() == [0, 0, 0, 1, -1]
-    assert quantised(wanted, guess + (1 << FRACTION_BITS), 0.0).tolist() == [-1, 0, -2, 0, -3]
+    assert quantised(wanted, guess + 1, 0.0).tolist() == [-1, 0, -2, 0, -3]
 
 
 @pytest.mark.parametrize("span", SPANS)

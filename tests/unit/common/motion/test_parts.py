@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cags_common.motion.apply import Looks, Steps, evaluate
-from cags_common.motion.chunk import Blocks, Chunk
+from cags_common.motion.chunk import Chunk
 from cags_common.motion.parts import MOST_IN_MOTION, in_motion
 
 SPAN, SPLATS = 4, 16
@@ -19,7 +19,7 @@ def chunk(moving: list[int] = [], **parts: object) -> Chunk:  # noqa: B006 - rea
     moves = np.zeros((SPAN + 1, SPLATS, 3), np.int32)
     moves[:, :, 1] = 640  # off its look, but there at any time
     moves[2, moving, 0] = 64
-    return replace(Chunk((0, 0), SPAN, SPLATS, None, None, None, moves, None, True), **parts)  # type: ignore[arg-type]
+    return replace(Chunk((0, 0), SPAN, SPLATS, None, None, moves, None, True), **parts)  # type: ignore[arg-type]
 
 
 def looks(rows: np.ndarray) -> Looks:
@@ -32,7 +32,7 @@ def looks(rows: np.ndarray) -> Looks:
 def test_only_what_moves_is_named() -> None:
     part = in_motion(chunk([3, 9]))
     assert part is not None
-    assert part.splats.tolist() == part.taken.tolist() == [3, 9]
+    assert part.splats.tolist() == [3, 9]
     assert part.chunk.splats == 2
 
 
@@ -49,21 +49,11 @@ def test_the_part_has_the_bits_of_the_whole_and_the_rest_stands_still(time: floa
     part = in_motion(whole)
     assert part is not None
     everything, at_start = (evaluate(whole, t, looks(np.arange(SPLATS)), STEPS) for t in (time, 0.0))
-    steps = Steps(STEPS.moves[part.taken], STEPS.turns[part.taken])
-    some = evaluate(part.chunk, time, looks(part.taken), steps)
-    assert np.array_equal(some.means, everything.means[part.taken])
+    steps = Steps(STEPS.moves[part.splats], STEPS.turns[part.splats])
+    some = evaluate(part.chunk, time, looks(part.splats), steps)
+    assert np.array_equal(some.means, everything.means[part.splats])
     rest = np.setdiff1d(np.arange(SPLATS), part.splats)
     assert np.array_equal(everything.means[rest], at_start.means[rest])
-
-
-def test_blocks_stay_whole() -> None:
-    shifts = np.zeros((SPAN + 1, 4, 3), np.int32)
-    shifts[1, 2] = 64
-    blocks = Blocks(4, 0.5, shifts, np.zeros((SPAN + 1, 4, 3), np.int32))
-    part = in_motion(chunk([0], blocks=blocks))
-    assert part is not None
-    assert part.splats.tolist() == [0, 8, 9, 10, 11]
-    assert part.taken.tolist() == [0, 1, 2, 3, 8, 9, 10, 11]
 
 
 def test_a_chunk_that_mostly_moves_is_taken_whole_and_the_answer_is_kept() -> None:

@@ -17,6 +17,7 @@ from cags_common.store.versions import Versions
 from cags_common.tiles.inventory import InventoryEntry
 from cags_common.tiles.kinds import TileKind
 from cags_common.tiles.splat_buffer import Slot, SplatBuffer
+from support.anchors import together
 from support.small_motion import BOX, looks, motion, moving, recoloured, update
 from support.small_store import books, manifest, removed, xs
 
@@ -68,7 +69,7 @@ def some_moving(store: TileStore) -> None:
     """A tile of two splats of which the second moves."""
     moves = np.zeros((4, 2, 3))
     moves[:, 1, 0] = [0, 64, 128, 192]
-    payloads = encode((0, 0), moves, None, starts=True)
+    payloads = encode((0, 0), together(2), moves, None, starts=True)
     send(store, 0, 0, looks([0, 1], 5))
     send(store, 0, 1, TilePayloads(2, None, BOX, payloads, TileKind.MOTION, (0, 0), 3))
 
@@ -200,7 +201,7 @@ def test_motion_of_another_number_of_splats_is_refused_in_one_line(store: TileSt
     if late:
         send(store, 0, 5, wrong)
     send(store, 0, 0, looks([0, 1], 5))
-    message = "tile 5 of frame 0: moves 3 splats of tile 0 of frame 0, which has 2"
+    message = "motion: 3 splats move, and the looks have 2"
     if late:
         assert [str(error) for error in store.flush()] == [message]
     else:
@@ -226,7 +227,7 @@ def test_motion_of_no_looks_of_later_looks_and_of_another_group_is_refused(store
 def test_motion_in_a_bundle_that_has_none_is_refused() -> None:
     store = TileStore(manifest(), SvqTileCodec(manifest(), books().to_bytes()))
     send(store, 0, 0, looks([0], 5))
-    with pytest.raises(DecodeError, match="holds no splats that move"):
+    with pytest.raises(DecodeError, match=r"^motion: cannot be read without the looks that it moves$"):
         send(store, 0, 1, motion((0, 0), 1, [0, 1]))
 
 
@@ -465,7 +466,7 @@ def test_tiles_that_have_ended_or_stand_still_are_not_evaluated_again(monkeypatc
 
 def test_what_is_staged_of_a_chunk_does_not_change_while_a_finer_level_is_added() -> None:
     chunk = motion((0, 0), 1, [0.0, 1 / 32])
-    versions = Versions(MotionTile(chunk.payloads[0]), 0)
+    versions = Versions(MotionTile(chunk.payloads[0], together(1)), 0)
     held = StoredMotion((0, 1), (0, 0), versions, {})
     (make,) = to_stage(held)
     staged = make()

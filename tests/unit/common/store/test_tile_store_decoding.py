@@ -10,6 +10,7 @@ import pytest
 
 from cags_common.bundle.codecs import SvqTileCodec, TileDecoder
 from cags_common.errors import DecodeError
+from cags_common.motion.neighbours import Anchors
 from cags_common.splats import Splats
 from cags_common.store.tile_decode import Arrival
 from cags_common.store.tile_store import TileStore
@@ -69,7 +70,7 @@ class GrowingTile:
 
 
 class GrowingCodec:
-    def open_tile(self, payload: bytes | memoryview) -> GrowingTile:
+    def open_tile(self, payload: bytes | memoryview, anchors: Anchors | None = None) -> GrowingTile:
         return GrowingTile()
 
     def tile_ids(self, payload: bytes | memoryview) -> np.ndarray:
@@ -92,7 +93,7 @@ def test_a_tile_that_grows_beyond_its_group_is_reported_and_does_not_end_the_dis
 class OneMoreCodec(GrowingCodec):
     """Whose tiles' second level brings a further splat."""
 
-    def open_tile(self, payload: bytes | memoryview) -> GrowingTile:
+    def open_tile(self, payload: bytes | memoryview, anchors: Anchors | None = None) -> GrowingTile:
         return OneMoreTile()
 
 
@@ -123,10 +124,10 @@ class GatedCodec(SvqTileCodec):
         super().__init__(manifest(), books().to_bytes())
         self.asked, self.gate = threading.Event(), threading.Event()
 
-    def open_tile(self, payload: bytes | memoryview) -> TileDecoder:
+    def open_tile(self, payload: bytes | memoryview, anchors: Anchors | None = None) -> TileDecoder:
         self.asked.set()
         assert self.gate.wait(10)
-        return super().open_tile(payload)
+        return super().open_tile(payload, anchors)
 
 
 def test_the_display_does_not_wait_for_a_batch_that_is_being_decoded() -> None:

@@ -60,7 +60,8 @@ def test_inspect_says_what_is_there(bundle: Path, capsys: pytest.CaptureFixture[
 def test_inspect_says_what_bytes_tell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first = cloud(600, 1, 1)
     some = (np.arange(600) < 100)[:, None]
-    second = with_changes(first, means=first.means + np.float32(0.02) * some, sh0=first.sh0 + np.float32(0.3) * some)
+    away = np.random.default_rng(3).uniform(0.01, 0.03, (600, 3)).astype(np.float32) * some
+    second = with_changes(first, means=first.means + away, sh0=first.sh0 + np.float32(0.3) * some)
     encode([first, second, cloud(650, 2, 1)], EncodeSettings(train_splats=1000), str(tmp_path / "a.cags"))
     found = json.loads(said(capsys, "--inspect", str(tmp_path / "a.cags"), "--json"))
     with BundleReader.open(str(tmp_path / "a.cags")) as reader:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from cags_common.motion import chunk as chunks
-from cags_common.motion.apply import Steps
+from cags_common.motion.apply import Looks, Steps, evaluate
 from cags_common.motion.chunk import ChunkDecoder
+from cags_common.motion.neighbours import Anchors
+from cags_common.tiles.morton import morton_order
 from cags_encoder.motion.chunks import JUDGED, STRAIGHT, TrackSpan, encode_span
 from cags_encoder.motion.steps import MOVE_STEP
 from cags_encoder.motion.tolerance import Tolerance, Tolerances
@@ -33,8 +36,13 @@ def drifting(lives: np.ndarray, noise: float, **options: Any) -> TrackSpan:
     return TrackSpan((0, 0), means, quats, present, anchors, quats[0], steps, still, **given)
 
 
-def decoded(payloads: tuple[bytes, ...]) -> chunks.Chunk:
-    decoder = ChunkDecoder(payloads[0])
+def anchors_of(span: TrackSpan) -> Anchors:
+    return Anchors(span.anchors, span.steps.moves, span.steps.turns)
+
+
+def decoded(span: TrackSpan) -> chunks.Chunk:
+    payloads = encode_span(span).payloads
+    decoder = ChunkDecoder(payloads[0], anchors_of(span))
     for payload in payloads[1:]:
         decoder.add_level(payload)
     return decoder.chunk
@@ -45,7 +53,7 @@ def decoded(payloads: tuple[bytes, ...]) -> chunks.Chunk:
 def test_lines_of_any_life_are_within_a_unit_where_they_are_seen(starts: bool, longest: int) -> None:
     lives = np.random.default_rng(3).integers(1, longest, SPLATS)
     span = drifting(lives, 0.7, starts=starts)
-    chunk = decoded(encode_span(span).payloads)
+    chunk = decoded(span)
     assert chunk.moves is not None
     off = np.abs((span.means - span.anchors) / STEP - chunk.moves / 64 / 2 ** chunk.finer[0])
     seen = span.present[:, :, None] & (starts | (np.arange(SPAN + 1)[:, None, None] > 0))
@@ -67,7 +75,32 @@ def test_a_splat_that_gets_far_is_not_stopped_though_few_are_judged() -> None:
     splats, stray = 4 * JUDGED, 1
     span = drifting(np.full(splats, SPAN + 1), 0.0, starts=True, tolerances=Tolerances(moves=Tolerance(1e-3, 1e-4, 0)))
     span.means[:, stray] += np.linspace(0, 4096 * STEP / MOVE_STEP, SPAN + 1, dtype=np.float32)[:, None]
-    chunk = decoded(encode_span(span).payloads)
+    chunk = decoded(span)
     assert chunk.moves is not None
     off = (span.means - span.anchors) / STEP - chunk.moves / 64 / 2 ** chunk.finer[0]
     assert np.abs(off).max() <= STRAIGHT
+
+
+def test_what_turns_as_one_comes_back_and_takes_fewer_bytes_in_the_order_of_a_tile_than_in_none() -> None:
+    """Positions and rotations, from the tracks to the chunk and back."""
+    random, count = np.random.default_rng(4), 1000
+    places = random.uniform(-1, 1, (count, 3))
+    places = places[morton_order(places.astype(np.float32))]
+    angles = np.linspace(0, 1, SPAN + 1)
+    turning = np.zeros((SPAN + 1, 3, 3))
+    turning[:, 0, 0], turning[:, 1, 1], turning[:, 2, 2] = np.cos(angles), np.cos(angles), 1
+    turning[:, 0, 1], turning[:, 1, 0] = -np.sin(angles), np.sin(angles)
+    means = np.einsum("tij,nj->tni", turning, places).astype(np.float32)
+    quats = np.zeros((SPAN + 1, count, 4), np.float32)
+    quats[:, :, 0], quats[:, :, 3] = np.cos(angles / 2)[:, None], np.sin(angles / 2)[:, None]
+    span = drifting(np.full(count, SPAN + 1), 0.0)
+    span = replace(span, means=means, quats=quats, anchors=means[0], first=quats[0])
+    chunk = decoded(span)
+    assert chunk.moves is not None and chunk.turns is not None
+    shown = evaluate(chunk, float(SPAN), Looks(span.anchors, span.first, np.zeros(count, np.float32)), span.steps)
+    assert np.abs(shown.means - means[-1]).max() <= 3 * STEP
+    assert np.abs(shown.quats - quats[-1]).max() <= 4 * STEP
+    order = random.permutation(count)
+    shuffled = replace(span, means=means[:, order], anchors=means[0, order])
+    together, apart = (sum(map(len, encode_span(each).payloads)) for each in (span, shuffled))
+    assert together < 0.8 * apart

@@ -31,7 +31,7 @@ def test_looks_are_of_the_newest_tile_and_motion_of_the_chunk_that_holds(scene: 
         assert looks == {tiles.key(int(n)) for n in np.unique(scene.owners(frame)) if n >= 0}
         for tile in (t for t in visible if t.kind == TileKind.MOTION):
             assert tile.looks in looks and tile.frames_left > 0
-            chunk = scene.reader.codec.open_tile(scene.reader.payload(tile.frame, tile.tile, 0))
+            chunk = scene.reader.open_tile(tile.frame, tile.tile)
             assert isinstance(chunk, MotionTile) and chunk.looks == tile.looks
             newest = tiles.chunk_at(np.array([tiles.number(*tile.looks)], np.int32), frame)
             ahead = tile.frame - frame
@@ -47,7 +47,7 @@ def test_updates_count_while_one_of_their_attributes_is_the_newest(scene: SceneL
             for entry in scene.entry(at).tiles:
                 if entry.kind == TileKind.MOTION:
                     continue
-                state = scene.reader.codec.open_tile(scene.reader.payload(at, entry.tile, 0))
+                state = scene.reader.open_tile(at, entry.tile)
                 for name in ("scale", "opacity", "sh0"):
                     ids = state.ids[state.changed[name]] if isinstance(state, UpdateState) else state.ids
                     key = (at, entry.tile) if isinstance(state, UpdateState) else None
