@@ -128,6 +128,11 @@ class MotionTile:
         """Highest level up to which everything has come."""
         return self._decoder.levels - 1
 
+    @property
+    def nbytes(self) -> int:
+        """What is kept for further levels, besides the chunk."""
+        return self._decoder.nbytes + sum(map(len, self._waiting.values()))
+
     def add_layer(self, lod: int, payload: bytes | memoryview) -> bool:
         """Take level ``lod`` >= 1; whether the motion changed. Raises :class:`DecodeError`."""
         if not 1 <= lod < MOTION_LEVELS:

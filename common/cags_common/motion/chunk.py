@@ -235,6 +235,7 @@ class ChunkDecoder:
         self._trees = _Trees.of(head, anchors, self._movers, native=native)
         reader = SymbolReader(escapes, symbols, native=native)
         self.chunk, self._read, self._count = self._opened(head, reader), 1, max(1, *head.levels)
+        self._drop_when_whole()
 
     @property
     def levels(self) -> int:
@@ -245,6 +246,11 @@ class ChunkDecoder:
     def looks(self) -> tuple[int, int]:
         """Media frame and tile of the looks that move."""
         return self.chunk.looks
+
+    @property
+    def nbytes(self) -> int:
+        """What it keeps for further levels, besides the chunk."""
+        return self._trees.nbytes
 
     def fork(self) -> ChunkDecoder:
         """Another decoder of what has come; what is added to one of the two does not change the other."""
@@ -263,6 +269,11 @@ class ChunkDecoder:
         self._trees = trees
         self.chunk = self._with_trees(self.chunk)
         self._read += 1
+        self._drop_when_whole()
+
+    def _drop_when_whole(self) -> None:
+        if self._read >= self._count:
+            self._trees = _Trees(self._trees.levels, (None, None))
 
     def _opened(self, head: _Head, reader: SymbolReader) -> Chunk:
         n = head.splats
@@ -330,6 +341,14 @@ class _Trees:
         """One that changes apart."""
         moves, turns = (None if part is None else part.copy() for part in self.parts)
         return _Trees(self.levels, (moves, turns))
+
+    @property
+    def nbytes(self) -> int:
+        """Of samples, and of neighbours, which both parts share."""
+        parts = [part for part in self.parts if part is not None]
+        near = parts[0].tree.near if parts else None
+        each = sum(part.values.nbytes + part.told.nbytes + part.tree.units.nbytes for part in parts)
+        return each + (0 if near is None else near.rows.nbytes + near.fits.nbytes)
 
     def told_at(self, level: int) -> dict[str, Samples]:
         """The parts of which ``level`` tells."""

@@ -38,7 +38,7 @@ DECODED_BYTES = 256_000_000
 """Bound on the decoded tiles that are kept, where the settings say nothing else."""
 
 DECODER_SPLAT_BYTES = 64
-"""What a tile's decoder keeps a splat besides its values: codes, positions, what is yet to be merged."""
+"""What a decoder of looks or updates keeps a splat besides its values: codes, positions, what is yet to be merged."""
 
 Value: TypeAlias = LooksValue | UpdateValues | Chunk
 
@@ -60,7 +60,8 @@ class Decoded:
             arrays = [array for array in (value.moves, value.turns, value.lives, value.fades) if array is not None]
         else:
             arrays = [array for pair in value.values() for array in pair]
-        return sum(array.nbytes for array in arrays) + DECODER_SPLAT_BYTES * len(self.state)
+        kept = self.state.nbytes if isinstance(self.state, MotionTile) else DECODER_SPLAT_BYTES * len(self.state)
+        return sum(array.nbytes for array in arrays) + kept
 
 
 class DecodedTiles:

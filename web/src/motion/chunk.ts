@@ -99,7 +99,8 @@ export class MotionTile {
   private waiting = new Map<number, Uint8Array>();
   /** Rows of the splats of which levels speak; undefined: of all. */
   private readonly movers: Int32Array | undefined;
-  private readonly near: Neighbours;
+  /** Of the splats that move; undefined once no level is to come. */
+  private near: Neighbours | undefined;
   private parts: Parts;
   private readonly kernels: Kernels;
 
@@ -111,15 +112,16 @@ export class MotionTile {
     this.movers = readMovers(head, who);
     this.count = Math.max(1, ...head.levels);
     const moving = this.movers ? some(anchors, this.movers) : anchors;
-    this.near = neighbours(kernels, moving);
+    const near = (this.near = neighbours(kernels, moving));
     this.parts = [nothingTold(head, moving, 0), nothingTold(head, moving, 1)];
     const blank = withReader(kernels, escapes, symbols, (reader) => {
       const opening = opened(head, reader);
-      for (const part of this.parts) if (part) reader.tree(part, this.near, 0);
+      for (const part of this.parts) if (part) reader.tree(part, near, 0);
       reader.finish();
       return opening;
     });
     this.chunk = this.withParts(blank);
+    this.dropWhenWhole();
   }
 
   get length(): number {
@@ -168,15 +170,22 @@ export class MotionTile {
     }
     const escapes = 4 + new DataView(payload.buffer, payload.byteOffset, 4).getUint32(0, true);
     if (escapes > payload.length) throw new DecodeError("motion: a level's escapes are cut short");
-    const { read } = this;
+    const { read, near } = this;
     const parts = this.parts.map((part) => part && { ...part, values: part.values.slice(), told: part.told.slice() });
     withReader(this.kernels, payload.subarray(4, escapes), payload.subarray(escapes), (reader) => {
-      for (const part of parts) if (part && read < part.levels) reader.tree(part, this.near, read);
+      for (const part of parts) if (part && near && read < part.levels) reader.tree(part, near, read);
       reader.finish();
     });
     this.parts = [parts[0], parts[1]];
     this.chunk = this.withParts(this.chunk);
     this.read += 1;
+    this.dropWhenWhole();
+  }
+
+  private dropWhenWhole(): void {
+    if (this.read < this.count) return;
+    this.near = undefined;
+    this.parts = [undefined, undefined];
   }
 
   private withParts(chunk: Chunk): Chunk {

@@ -341,6 +341,19 @@ def test_what_turns_as_one_takes_far_fewer_bytes_than_the_same_residuals_elsewhe
     assert chunk.moves is not None and np.abs(chunk.moves / 64 - moves).max() <= FINEST + 1 / 64
 
 
+def test_what_further_levels_need_is_kept_until_the_last_one() -> None:
+    moves = wavy(np.random.default_rng(11), 3)
+    payloads = encode((0, 0), LOOKS, moves, None, starts=True)
+    decoder, kept = ChunkDecoder(payloads[0], LOOKS), []
+    for payload in payloads[1:]:
+        kept.append(decoder.nbytes)
+        decoder.add_level(payload)
+    assert min(kept) > moves.size * 5
+    assert decoder.nbytes == 0
+    with pytest.raises(DecodeError, match="too much"):
+        decoder.add_level(payloads[-1])
+
+
 def test_a_fork_does_not_change_what_it_was_copied_from() -> None:
     payloads = encode((0, 0), LOOKS, wavy(random := np.random.default_rng(16), 3), wavy(random, 4), starts=True)
     one = ChunkDecoder(payloads[0], LOOKS)

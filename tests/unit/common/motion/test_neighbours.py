@@ -10,6 +10,7 @@ import pytest
 import cags_kernels
 from cags_common.motion.neighbours import (
     COUNT,
+    LEAST_UNIT,
     MOST_SHIFT,
     MOST_SPREAD,
     RIDGE,
@@ -210,7 +211,7 @@ def test_the_smaller_of_two_at_one_distance_counts_for_more() -> None:
 
 
 def test_units_count_in_parts_of_the_largest() -> None:
-    assert relative(np.float32([0, 2, 8])).tolist() == [0, 0.25, 1]
+    assert relative(np.float32([0, 2, 8])).tolist() == [float(LEAST_UNIT), 0.25, 1]
     assert relative(np.zeros(3, np.float32)).tolist() == [1, 1, 1]
     assert relative(np.zeros(0, np.float32)).tolist() == []
 
