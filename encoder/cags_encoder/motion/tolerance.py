@@ -33,7 +33,7 @@ predicted from neighbours, and so are its errors. As measured on a head, a plant
 LEAST_SHARE = 0.05
 """If a smaller share of the splats moves, the tolerance grows no further."""
 
-SPARE = 0.35
+SPARE = 0.55
 """A level stays empty if the error without it is below this share of the tolerance."""
 
 TRIES = 3
