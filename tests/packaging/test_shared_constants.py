@@ -85,7 +85,7 @@ OF_THE_KERNELS = {
     ): "kWindow=WINDOW kTiny=_TINY kRidge=RIDGE kFurthest=FURTHEST",
     ("motion/neighbours.h", "cags_common.motion.neighbours"): "kFirstGroups=FIRST_GROUPS kFirstFiner=FIRST_FINER",
     ("motion/tree.cpp", "cags_common.motion.neighbours"): "kMostSpread=MOST_SPREAD kSpread=SPREAD",
-    ("motion/cags_motion.h", "cags_common.motion.neighbours"): "CAGS_NEIGHBOURS=COUNT",
+    ("motion/cags_motion.h", "cags_common.motion.neighbours"): "CAGS_NEIGHBOURS=COUNT CAGS_FIT=FIT",
     ("motion/apply.cpp", "cags_common.motion.apply"): "kAbsentLogit=ABSENT_LOGIT",
     ("motion/cags_motion.h", "cags_common.motion.chunk"): "CAGS_MAX_SPAN=MAX_SPAN CAGS_MAX_TILE_SPLATS=MAX_SPLATS",
     ("motion/cags_motion.h", "cags_common.tiles.payloads"): "CAGS_MAX_TILE_SPLATS=MAX_TILE_SPLATS",

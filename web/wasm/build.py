@@ -16,7 +16,16 @@ HERE = Path(__file__).resolve().parent
 NATIVE = HERE.parents[1] / "kernels" / "src" / "native"
 SOURCES = [
     HERE / "browser.cpp",
-    *(NATIVE / name for name in ("codec/abi.cpp", "motion/apply.cpp", "motion/neighbours.cpp", "motion/symbols.cpp", "motion/tree.cpp")),
+    *(
+        NATIVE / name
+        for name in (
+            "codec/abi.cpp",
+            "motion/apply.cpp",
+            "motion/neighbours.cpp",
+            "motion/symbols.cpp",
+            "motion/tree.cpp",
+        )
+    ),
 ]
 EXPORTS = (
     "cags_web_allocate",

@@ -35,9 +35,7 @@ def weights_name(crc: int) -> str:
 
 
 ANCHORS_BYTES = 16 << 20
-"""Bound on the looks in memory by which motion is read."""
-
-ANCHOR_BYTES = 20
+"""Bound on the anchors in memory, which chunks of motion are decoded by."""
 
 CACHED_BYTES, CACHED_FRAMES = 64 << 20, 16
 """Bound on the payloads in memory, and so many frames' in any case: one read fetches a frame, the streamer then picks
@@ -151,7 +149,7 @@ class BundleReader:
             if known is None:
                 raise BundleError(f"frame {frame}, tile {tile}: no tile of looks that could move")
             with self._lock:
-                self._anchors.put(key, known, ANCHOR_BYTES * len(known))
+                self._anchors.put(key, known, known.nbytes)
         return known
 
     def tile_ids(self, frame: int, tile: int) -> Ids:

@@ -33,6 +33,8 @@ SYMBOLS_A_LANE = 4096
 
 MAX_TABLES = 64
 MAX_SYMBOLS = 255
+"""A byte says how many a table has; none stands for the table before."""
+
 _LOW = 1 << 16
 _HEAD = struct.Struct("<BBI")  # lanes, tables, words
 
@@ -106,7 +108,7 @@ def _shares(tables: Sequence[Table]) -> tuple[NDArray[np.uint32], NDArray[np.uin
 def encode(tables: U8, symbols: U8, runs: NDArray[np.int64], *, native: bool | None = None) -> bytes:
     """The ``symbols`` [n], each by its table [n], to be read in ``runs`` that add up to n. Same input, same bytes.
 
-    Tables are numbered from 0; they are made from what occurs, and neighbours that are alike share one. ``native`` None
+    Tables are numbered from 0; they are made from what occurs, and similar ones in a row are merged. ``native`` None
     takes the kernel where there is one. Raises ``ValueError`` for more than ``MAX_TABLES`` or symbols from
     ``MAX_SYMBOLS`` on.
     """
@@ -118,8 +120,8 @@ def encode(tables: U8, symbols: U8, runs: NDArray[np.int64], *, native: bool | N
         raise ValueError(f"symbols: {len(symbols)} of them have {len(tables)} tables and runs of {int(runs.sum())}")
     if int(symbols.max(initial=0)) >= MAX_SYMBOLS:
         raise ValueError(f"symbols: {int(symbols.max())} is none; the last one is {MAX_SYMBOLS - 1}")
-    runs_of = _alike(_counted(tables, symbols, native=native)[:count])
-    made = [table for table, length in runs_of for _ in range(length)]
+    shared = _shared_tables(_counted(tables, symbols, native=native)[:count])
+    made = [table for table, length in shared for _ in range(length)]
     lanes = min(max(len(symbols) // SYMBOLS_A_LANE, 1), MAX_LANES)
     if native:
         from cags_kernels import motion
@@ -129,13 +131,13 @@ def encode(tables: U8, symbols: U8, runs: NDArray[np.int64], *, native: bool | N
         states, words = _encoded(made, tables, symbols, runs, lanes)
     head = _HEAD.pack(lanes, count, len(words))
     tail = states.astype("<u4").tobytes() + words.astype("<u2", copy=False).tobytes()
-    return head + b"".join(table.to_bytes() + bytes(length - 1) for table, length in runs_of) + tail
+    return head + b"".join(table.to_bytes() + bytes(length - 1) for table, length in shared) + tail
 
 
-def _alike(counts: NDArray[np.int64]) -> list[tuple[Table, int]]:
+def _shared_tables(counts: NDArray[np.int64]) -> list[tuple[Table, int]]:
     """Tables for symbols that occur ``counts`` [tables, 256] times, and how many in a row each one serves.
 
-    Neighbours share one as long as that saves more bytes of tables than it costs of symbols.
+    Two in a row are merged as long as that saves more bytes of tables than it costs of symbols.
     """
 
     def made(pooled: NDArray[np.int64]) -> tuple[float, Table]:

@@ -20,8 +20,8 @@ from cags_common.coding.packing import squeeze, unsqueeze
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32, F64
 from cags_common.motion.knots import I32, knots
-from cags_common.motion.neighbours import Anchors
-from cags_common.motion.symbols import Samples, SymbolReader, SymbolWriter, fade_tables, life_tables, nothing_told
+from cags_common.motion.neighbours import Anchors, Neighbours
+from cags_common.motion.symbols import Samples, SymbolReader, SymbolWriter, Tree, fade_tables, life_tables
 
 VERSION = 8
 LEVELS = 4
@@ -117,53 +117,69 @@ def encode(
         raise ValueError(f"motion: units halved {finer} times, 0 to {MAX_FINER} expected")
     if not all(0 <= levels <= LEVELS for levels in told):
         raise ValueError(f"motion: {told} levels say something, 0 to {LEVELS} expected")
-    levels = {name: told[part] for part, name in enumerate(("moves", "turns")) if name in wanted and told[part]}
-    wanted = {name: wanted[name] for name in levels}
+    parts = [
+        _Wanted(wanted[name], told[turn], deadzones[turn], curved[turn], bool(turn))
+        for turn, name in enumerate(("moves", "turns"))
+        if name in wanted and told[turn]
+    ]
     flags = STARTS * starts | LIVES * (lives is not None) | FADES * (fades is not None)
-    flags |= CURVED_MOVES * ("moves" in wanted and curved[0]) | CURVED_TURNS * ("turns" in wanted and curved[1])
-    zones = {name: deadzones[part] for part, name in enumerate(("moves", "turns"))}
-    told = levels.get("moves", 0), levels.get("turns", 0)
-    movers = _movers(wanted, levels, zones) if wanted else None
+    flags |= sum((CURVED_TURNS if part.turn else CURVED_MOVES) for part in parts if part.curved)
+    movers = _movers(parts)
     if movers is not None:
         flags |= STILLS
-        anchors = anchors.take(movers)
-        wanted = {name: np.ascontiguousarray(part[:, movers]) for name, part in wanted.items()}
-    of = nothing_told(anchors, native=native)
-    samples = {
-        name: of(knots(span, start=starts, curved=bent), turn=name == "turns")
-        for name, bent in zip(("moves", "turns"), curved, strict=True)
-        if name in wanted
-    }
-    payloads, count = [], max(1, *told)
+        anchors, parts = anchors.take(movers), [part.take(movers) for part in parts]
+    near = Neighbours.of(anchors, native=native)
+    samples = [
+        Samples.untold(Tree.of(knots(span, start=starts, curved=part.curved), anchors, near, turn=part.turn), span)
+        for part in parts
+    ]
+    counts = [max((part.levels for part in parts if part.turn == turn), default=0) for turn in (False, True)]
+    payloads, count = [], max(1, *counts)
     for level in range(count):
         writer = SymbolWriter(native=native)
         if level == 0:
             _write_sides(writer, span, lives, fades)
-        for name in (name for name in wanted if level < levels[name]):
-            writer.tree(samples[name], wanted[name], REFINEMENT ** (LEVELS - 1 - level), zones[name][level])
+        for part, sample in zip(parts, samples, strict=True):
+            if level < part.levels:
+                writer.tree(sample, part.values, REFINEMENT ** (LEVELS - 1 - level), part.deadzones[level])
         escapes, symbols = writer.to_bytes()
         sizes = len(escapes), len(symbols)
         if level == 0:
             who = b"" if movers is None else squeeze(np.packbits(movers).tobytes())
-            head = _HEAD.pack(VERSION, flags, span, *told, *looks, splats, *finer, len(who), *sizes) + who
+            head = _HEAD.pack(VERSION, flags, span, *counts, *looks, splats, *finer, len(who), *sizes) + who
         else:
             head = struct.pack("<I", len(escapes))
         payloads.append(head + escapes + symbols)
     return *payloads, *(b"" for _ in range(count, LEVELS))
 
 
-def _movers(
-    wanted: dict[str, F64], levels: dict[str, int], deadzones: dict[str, Sequence[float]]
-) -> NDArray[np.bool_] | None:
-    """[n] splats of which a level says anything; None where they are most.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Wanted:
+    """Positions or rotations to be told."""
 
-    Nothing is said where every residual falls into the dead zone, in whatever level.
-    """
-    moves = np.zeros(next(iter(wanted.values())).shape[1], bool)
-    for name, part in wanted.items():
-        zones = [REFINEMENT ** (LEVELS - 1 - level) * (0.5 + deadzones[name][level]) for level in range(levels[name])]
-        if zones:
-            moves |= (np.abs(part) >= min(zones)).any(axis=(0, 2))
+    values: F64  # [span + 1, n, c]
+    levels: int
+    deadzones: Sequence[float]
+    curved: bool
+    turn: bool
+
+    def take(self, rows: NDArray[np.bool_]) -> _Wanted:
+        """Those of ``rows`` [n]."""
+        return replace(self, values=np.ascontiguousarray(self.values[:, rows]))
+
+    def moves(self) -> NDArray[np.bool_]:
+        """[n] splats of which a level says anything: not all values fall into the dead zone of every level."""
+        units = (REFINEMENT ** (LEVELS - 1 - level) for level in range(self.levels))
+        least = min(unit * (0.5 + zone) for unit, zone in zip(units, self.deadzones, strict=False))
+        moves: NDArray[np.bool_] = (np.abs(self.values) >= least).any(axis=(0, 2))
+        return moves
+
+
+def _movers(parts: Sequence[_Wanted]) -> NDArray[np.bool_] | None:
+    """[n] splats of which a level says anything; None where they are most."""
+    if not parts:
+        return None
+    moves: NDArray[np.bool_] = np.logical_or.reduce([part.moves() for part in parts])
     return moves if moves.sum() < (1 - FEW_STILL) * len(moves) else None
 
 
@@ -329,11 +345,12 @@ class _Trees:
         """Nothing told yet; ``anchors`` [n] are the looks."""
         if not any(head.levels):
             return _Trees(head.levels, (None, None))
-        samples = nothing_told(anchors if movers is None else anchors.take(movers), native=native)
+        moving = anchors if movers is None else anchors.take(movers)
+        near = Neighbours.of(moving, native=native)
 
         def part(*, turn: bool) -> Samples | None:
             order = knots(head.span, start=head.has(STARTS), curved=head.curved[turn])
-            return samples(order, turn=turn) if head.levels[turn] else None
+            return Samples.untold(Tree.of(order, moving, near, turn=turn), head.span) if head.levels[turn] else None
 
         return _Trees(head.levels, (part(turn=False), part(turn=True)))
 

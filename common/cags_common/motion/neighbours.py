@@ -23,17 +23,19 @@ STRIDES = (256, 128, 64, 32, 16, 8, 4, 2, 1)
 FIRST_GROUPS, FIRST_FINER = 4, 2
 """The first groups, of which every other splat is predicted, are told in units so many times finer."""
 
-COUNT = 8
-"""Neighbours of a splat."""
+COUNT, FIT = 8, 8
+"""Neighbours of a splat, and numbers of each one's part in a fit."""
 
 WINDOW = 16
 """They are sought among so many splats of the groups before, on either side in the tile's order."""
 
 FURTHEST = 64.0
-"""Distance of a neighbour at most, in mean ones: where one lies at the splat's own place, it alone tells."""
+"""Largest distance of a neighbour, in mean distances: one that coincides with the splat has nearly all of the weight,
+and the mean would be nearly zero.
+"""
 
 RIDGE = 0.1
-"""Weight of a slope's square, in neighbours' mean distances: where they lie in a plane or a line, slopes are small."""
+"""Regularises the slopes (ridge regression), for neighbours in a plane or on a line."""
 
 MOST_SPREAD = 756
 """What the spread of neighbours counts for at most."""
@@ -45,7 +47,7 @@ MOST_SHIFT = np.float32(1 << 30)
 """Fixed point; no splat is expected further off its line."""
 
 LEAST_UNIT = np.float32(1e-30)
-"""Of a splat beside others: it is divided by."""
+"""Smallest relative unit, so that it can be divided by."""
 
 _TINY = 1e-30
 """Metres, added to distances: splats may coincide."""
@@ -61,6 +63,11 @@ class Anchors:
 
     def __len__(self) -> int:
         return len(self.positions)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all columns."""
+        return self.positions.nbytes + self.moves.nbytes + self.turns.nbytes
 
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Anchors:
         """Those of ``rows``."""
@@ -79,14 +86,16 @@ class Neighbours:
     """Of each splat the neighbours that are coded before it, the nearest first, and the linear field through them."""
 
     rows: I32  # [n, COUNT]
-    fits: F32  # [n, COUNT, 8] share of each; its place, in mean distances; what it adds to the slopes and to the level
+    fits: (
+        F32  # [n, COUNT, FIT] share of each; its place, in mean distances; what it adds to the slopes and to the level
+    )
     """All zero in the first group, and where there are too few."""
 
     @staticmethod
     def of(anchors: Anchors, *, native: bool | None = None) -> Neighbours:
-        """Those of ``anchors``, which are sound.
+        """Those of ``anchors``, which have passed :meth:`Anchors.check`.
 
-        A neighbour's share is the inverse of its distance and of its unit, which says how exact it is. ``native`` None
+        A neighbour's weight is the inverse of its distance and of its unit, which says how exact it is. ``native`` None
         takes the kernel where there is one.
         """
         positions, units = np.ascontiguousarray(anchors.positions), relative(anchors.moves)
@@ -95,18 +104,18 @@ class Neighbours:
 
             return Neighbours(*motion.neighbours(positions, units))
         rows = np.repeat(np.arange(len(positions), dtype=np.int32)[:, None], COUNT, axis=1)
-        fits = np.zeros((len(positions), COUNT, 8), np.float32)
+        fits = np.zeros((len(positions), COUNT, FIT), np.float32)
         for stride, group in zip(STRIDES[1:], groups(len(positions))[1:], strict=True):
             if len(group):
                 rows[group], fits[group] = _nearest(positions.astype(np.float64), units, group, 2 * stride)
         return Neighbours(rows, fits)
 
     def expected(self, off: F32, units: F32, rows: NDArray[np.intp], unit: int) -> tuple[I32, I32]:
-        """How far ``rows`` [m] are likely to be off their lines, and how uncertain that is, both [m, parts].
+        """How far ``rows`` [m] are expected to be off their lines, and how uncertain that is, both [m, parts].
 
-        ``off`` [n, parts] says it of the neighbours, in metres by ``units`` [n]. A linear field is fitted to them; of
-        its value at the splat counts the share of their squares that it explains. The uncertainty is their mean
-        distance from it, in 1/:data:`SPREAD` of ``unit``.
+        ``off`` [n, parts] is how far splats are off, times their ``units`` [n]; of splats not yet coded it is not read.
+        A linear field is fitted to the neighbours; its value at the splat is multiplied by the share of their energy
+        that the field explains. The uncertainty is their mean distance from it, in 1/:data:`SPREAD` of ``unit``.
         """
         near, fits = off[self.rows[rows]], self.fits[rows][:, :, :, None]
         level = _sum(near * fits[:, :, 7])

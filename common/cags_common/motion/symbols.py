@@ -65,6 +65,11 @@ class Tree:
     turn: bool
     """Whether they are rotations, whose part 0 is real."""
 
+    @staticmethod
+    def of(order: tuple[Knot, ...], anchors: Anchors, near: Neighbours, *, turn: bool) -> Tree:
+        """That of the splats of ``anchors``, whose neighbours are ``near``."""
+        return Tree(order, near, relative(anchors.turns if turn else anchors.moves), turn)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
@@ -73,6 +78,12 @@ class Samples:
     tree: Tree
     values: I32  # [span + 1, n, c] in 1/64 of the finest unit
     told: U8  # [span + 1, n, c] 1 where a level had a residual
+
+    @staticmethod
+    def untold(tree: Tree, span: int) -> Samples:
+        """Those of ``span`` frames after the first, of which nothing is told yet."""
+        shape = span + 1, len(tree.units), 4 if tree.turn else 3
+        return Samples(tree, np.zeros(shape, np.int32), np.zeros(shape, np.uint8))
 
     def copy(self) -> Samples:
         """One that changes apart."""
@@ -97,21 +108,6 @@ class Samples:
         knots, near = _knot_rows(tree.order), tree.near
         numbers = samples - 1, splats, tree.turn, unit
         return motion.Tree(*numbers, knots, class_tables(), first, REAL, near.rows, near.fits, tree.units)
-
-
-def nothing_told(anchors: Anchors, *, native: bool | None = None) -> Callable[..., Samples]:
-    """Of an ``order`` of knots and whether to ``turn``: samples of the splats of ``anchors`` of which nothing is told.
-
-    ``native`` None takes the kernel where there is one.
-    """
-    near = Neighbours.of(anchors, native=native)
-
-    def samples(order: tuple[Knot, ...], *, turn: bool) -> Samples:
-        units = relative(anchors.turns if turn else anchors.moves)
-        shape = max(knot.at for knot in order) + 1, len(anchors), 4 if turn else 3
-        return Samples(Tree(order, near, units, turn), np.zeros(shape, np.int32), np.zeros(shape, np.uint8))
-
-    return samples
 
 
 class SymbolWriter:

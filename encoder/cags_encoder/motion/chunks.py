@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,8 +14,8 @@ from cags_common.motion import chunk
 from cags_common.motion.apply import Steps
 from cags_common.motion.chunk import DEADZONES, LEVELS, MAX_FINER, REFINEMENT
 from cags_common.motion.knots import FRACTION_BITS, knots
-from cags_common.motion.neighbours import Anchors
-from cags_common.motion.symbols import Samples, SymbolWriter, nothing_told
+from cags_common.motion.neighbours import Anchors, Neighbours
+from cags_common.motion.symbols import Samples, SymbolWriter, Tree
 from cags_common.tiles.kinds import TileKind
 from cags_encoder.motion.smoothing import smoothed
 from cags_encoder.motion.tolerance import Tolerance, Tolerances
@@ -44,8 +45,8 @@ MOST_UNITS = float(1 << 23)
 (:data:`cags_encoder.tracks.placing.FARTHEST`); lines that continue the motion of splats that have ended may.
 """
 
-ZONES = (0.2, 0.1, 0.0), (0.2, 0.1)
-"""Dead zones of the base and of the last level that are tried before units are halved, from the fewest bytes on."""
+BASE_ZONES, LAST_ZONES = (0.2, 0.1, 0.0), (0.2, 0.1)
+"""Dead zones of the base and of the last level, from the fewest bytes on. All are tried before units are halved."""
 
 BASE_LEVELS = 3
 """Levels from the base on: 1, 1/4 and 1/16 of a standard deviation, halved together as often as a chunk needs."""
@@ -77,9 +78,9 @@ class TrackSpan:
         """Number of frames after the first."""
         return len(self.means) - 1
 
-    def course(self, values: F64, *, turn: bool) -> Course:
+    def trajectories(self, values: F64, *, turn: bool) -> Trajectories:
         """``values`` [span + 1, n, c] of all splats, to be told."""
-        return Course(values, Anchors(self.anchors, self.steps.moves, self.steps.turns), self.starts, turn)
+        return Trajectories(values, Anchors(self.anchors, self.steps.moves, self.steps.turns), self.starts, turn)
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ class Exactness:
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class Trajectories:
     """Positions or rotations of some splats, to be told."""
 
     values: F64  # [frames, n, c] less those of the looks
@@ -121,14 +122,15 @@ class Course:
     starts: bool
     turn: bool
 
-    def take(self, rows: NDArray[np.intp]) -> Course:
+    def take(self, rows: NDArray[np.intp]) -> Trajectories:
         """Those of ``rows``."""
         return replace(self, values=np.ascontiguousarray(self.values[:, rows]), anchors=self.anchors.take(rows))
 
     def samples(self, *, curved: bool = False) -> Samples:
         """Nothing told of it yet."""
-        order = knots(len(self.values) - 1, start=self.starts, curved=curved)
-        return nothing_told(self.anchors)(order, turn=self.turn)
+        span = len(self.values) - 1
+        order = knots(span, start=self.starts, curved=curved)
+        return Samples.untold(Tree.of(order, self.anchors, Neighbours.of(self.anchors), turn=self.turn), span)
 
 
 def some(rows: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -138,14 +140,14 @@ def some(rows: NDArray[np.intp]) -> NDArray[np.intp]:
     return chosen
 
 
-def exactness(course: Course, present: NDArray[np.bool_], tolerance: Tolerance) -> Exactness:
-    """The accuracy for ``course``, in the tile's units, whose errors are within ``tolerance`` where ``present``.
+def exactness(tracks: Trajectories, present: NDArray[np.bool_], tolerance: Tolerance) -> Exactness:
+    """The accuracy for ``tracks``, in the tile's units, whose errors are within ``tolerance`` where ``present``.
 
     The base is level 0, or level 1 if it is so exact that a coarser level is worth having.
     """
-    largest = float(np.abs(course.values).max(where=present[:, :, None], initial=1.0))
+    largest = float(np.abs(tracks.values).max(where=present[:, :, None], initial=1.0))
     rows = some(np.flatnonzero(present.any(axis=0)))
-    judged, present = course.take(rows), present[:, rows]
+    judged, present = tracks.take(rows), present[:, rows]
     told, values = judged.samples(), judged.values
     most = int(np.clip(np.log2(MOST_UNITS / largest) - COARSE, 0, MAX_FINER - COARSE))
 
@@ -156,39 +158,34 @@ def exactness(course: Course, present: NDArray[np.bool_], tolerance: Tolerance) 
         off: F64 = (wanted - copy.values / (1 << FRACTION_BITS))[present] * 2.0**-finer
         return float(np.sqrt(np.square(off).mean())) if off.size else 0.0
 
-    def enough(finer: int, level: int, limit: float) -> float | None:
-        """The largest dead zone of ``level`` whose error is within the ``limit``; None if none is."""
-        return next((zone for zone in ZONES[level > 0] if error(finer, level, zone) <= limit), None)
+    def within(limit: float, halvings: range, level: int, zones: Sequence[float]) -> tuple[int, float]:
+        """The fewest halvings and the largest dead zone of ``level`` whose error is within the ``limit``."""
+        tried = ((finer, zone) for finer in halvings for zone in zones)
+        return next((t for t in tried if error(t[0], level, t[1]) <= limit), (halvings[-1], zones[-1]))
 
-    finer = next((finer for finer in range(most) if enough(finer, 0, tolerance.base) is not None), most)
+    finer, base = within(tolerance.base, range(most + 1), 0, BASE_ZONES)
     coarse = finer >= COARSE
-    base = enough(finer, 0, tolerance.base) or 0.0
 
     def found(levels: int, last: float = DEADZONES[BASE_LEVELS - 1]) -> Exactness:
-        zones = base, DEADZONES[1], last
-        return (
-            Exactness(finer, levels + 1, coarse, zones) if coarse else Exactness(finer + COARSE, levels, False, zones)
-        )
+        halvings, told = (finer, levels + 1) if coarse else (finer + COARSE, levels)
+        return Exactness(halvings, told, coarse, (base, DEADZONES[1], last))
 
     for level in range(BASE_LEVELS - 1):
         if error(finer, level, DEADZONES[level]) <= tolerance.spare:
             return found(level + 1)
-    last = enough(finer, BASE_LEVELS - 1, tolerance.top)
-    while finer < most and last is None:
-        finer += 1
-        last = enough(finer, BASE_LEVELS - 1, tolerance.top)
-    base = enough(finer, 0, tolerance.base) or 0.0
-    return found(BASE_LEVELS, ZONES[1][-1] if last is None else last)
+    finer, last = within(tolerance.top, range(finer, most + 1), BASE_LEVELS - 1, LAST_ZONES)
+    _, base = within(tolerance.base, range(finer, finer + 1), 0, BASE_ZONES)
+    return found(BASE_LEVELS, last)
 
 
-def curved(course: Course, exact: Exactness) -> bool:
-    """Whether coding middles against curves takes fewer bytes than against lines for ``course``.
+def curved(tracks: Trajectories, exact: Exactness) -> bool:
+    """Whether coding middles against curves takes fewer bytes than against lines for ``tracks``.
 
     Curves pass through more samples and so amplify noise. Determined from some splats, with a single level.
     """
-    if len(course.values) < 4 or not exact.told:
+    if len(tracks.values) < 4 or not exact.told:
         return False
-    judged = course.take(some(np.flatnonzero((course.values != 0).any(axis=(0, 2)))))
+    judged = tracks.take(some(np.flatnonzero((tracks.values != 0).any(axis=(0, 2)))))
 
     def size(bent: bool) -> int:
         writer = SymbolWriter()
@@ -204,11 +201,11 @@ def encode_span(span: TrackSpan) -> TilePayloads:
     unit = span.steps.moves.astype(np.float64)[None, :, None]
     turns = _turns(span)
     residuals = (moves - anchors[None]) / unit
-    exact = exactness(span.course(residuals, turn=False), span.present, span.tolerances.moves)
+    exact = exactness(span.trajectories(residuals, turn=False), span.present, span.tolerances.moves)
     residuals = smoothed(exact.scaled(residuals), MOST_MOVED, starts=span.starts)
     residuals = _straight(residuals, span.present, exact.told, starts=span.starts) * exact.step
     rotations, turned = (None, Exactness()) if turns is None else _turn_residuals(span, turns)
-    told = span.course(residuals, turn=False)
+    told = span.trajectories(residuals, turn=False)
     moving = rotations is None or np.abs(residuals).max(initial=0.0) > LEAST_UNITS
     payloads = chunk.encode(
         *(span.looks, told.anchors, residuals if moving else None, None if rotations is None else rotations.values),
@@ -302,15 +299,15 @@ def _line_from_nothing(values: F64, present: NDArray[np.bool_]) -> F64:
     return line
 
 
-def _turn_residuals(span: TrackSpan, turns: F64) -> tuple[Course | None, Exactness]:
+def _turn_residuals(span: TrackSpan, turns: F64) -> tuple[Trajectories | None, Exactness]:
     """Rotations [span + 1, n, 4] minus the identity in the chunk's finest units, or None if they are invisible."""
     units = (turns - np.eye(4)[0]) / span.steps.turns.astype(np.float64)[None, :, None]
     units[:, span.round] = 0.0
     if not span.present.all():
         last = span.span - span.present[::-1].argmax(axis=0)
         units = np.where(span.present[:, :, None], units, units[last, np.arange(units.shape[1])][None])
-    exact = exactness(span.course(units, turn=True), span.present, span.tolerances.turns)
+    exact = exactness(span.trajectories(units, turn=True), span.present, span.tolerances.turns)
     units = smoothed(exact.scaled(units), MOST_TURNED, starts=span.starts)
     units = _straight(units, span.present, exact.told, starts=span.starts) * exact.step
     told = np.abs(units).max(initial=0.0) > LEAST_UNITS
-    return span.course(units, turn=True) if told else None, exact
+    return span.trajectories(units, turn=True) if told else None, exact

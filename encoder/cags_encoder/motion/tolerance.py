@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,11 +98,12 @@ def tolerances(codec: SvqCodec, splats: Splats, steps: Steps, looked: Looked) ->
         quats /= np.linalg.norm(quats, axis=1, keepdims=True)
         return replace(splats, quats=quats.astype(np.float32))
 
+    def error(changed: Callable[[F64], Splats], noise: F64, size: float) -> float:
+        return trial.error(changed(size * noise))
+
     def tolerance(changed: Callable[[F64], Splats]) -> Tolerance:
-        at_base, at_top = (
-            _size(lambda size, noise=noise: trial.error(changed(size * noise)), allowed)  # type: ignore[misc]
-            for noise, allowed in zip(noises, (base, top), strict=True)
-        )
+        pairs = zip(noises, (base, top), strict=True)
+        at_base, at_top = (_size(partial(error, changed, noise), allowed) for noise, allowed in pairs)
         return Tolerance(at_base, at_top, SPARE * at_top)
 
     return Tolerances(tolerance(moved), tolerance(turned))

@@ -12,7 +12,8 @@ import pytest
 from cags_common.coding import rans
 from cags_common.motion.contexts import runs
 from cags_common.motion.knots import knots
-from cags_common.motion.symbols import Samples, nothing_told
+from cags_common.motion.neighbours import Neighbours
+from cags_common.motion.symbols import Samples, Tree
 from cags_kernels import codec, library, motion, native_available
 from support.anchors import scattered
 
@@ -112,7 +113,9 @@ def neighbours() -> tuple[np.ndarray, np.ndarray]:
 
 
 def untold() -> Samples:
-    return nothing_told(scattered(SPLATS))(knots(SPAN, start=True), turn=False)
+    anchors = scattered(SPLATS)
+    tree = Tree.of(knots(SPAN, start=True), anchors, Neighbours.of(anchors), turn=False)
+    return Samples.untold(tree, SPAN)
 
 
 def encode_tree() -> tuple[np.ndarray, ...]:

@@ -12,7 +12,8 @@ import cags_kernels
 from cags_common.coding import rans
 from cags_common.motion.contexts import REAL_TOLD, TOLD, class_tables
 from cags_common.motion.knots import knots
-from cags_common.motion.symbols import MOVE, REAL, TURN, nothing_told
+from cags_common.motion.neighbours import Neighbours
+from cags_common.motion.symbols import MOVE, REAL, TURN, Samples, Tree
 from support.anchors import scattered
 
 pytestmark = pytest.mark.skipif(not cags_kernels.native_available(), reason="needs the native kernels")
@@ -21,7 +22,9 @@ SPAN, SPLATS = 4, 5
 
 def tree(**changes: Any) -> Any:
     """Of units of 4; its arrays are as many as it says of splats there are."""
-    whole = nothing_told(scattered(SPLATS))(knots(SPAN, start=True), turn=False).kernel(4)
+    anchors = scattered(SPLATS)
+    tree = Tree.of(knots(SPAN, start=True), anchors, Neighbours.of(anchors), turn=False)
+    whole = Samples.untold(tree, SPAN).kernel(4)
     count = max(changes.get("splats", SPLATS), 0)
     if count != SPLATS:
         near = np.zeros((count, 8), np.int32), np.zeros((count, 8, 8), np.float32), np.zeros(count, np.float32)

@@ -71,6 +71,7 @@ interface Head {
 interface Samples {
   readonly turn: boolean;
   readonly levels: number;
+  readonly span: number;
   readonly order: Int32Array;
   readonly units: Float32Array; // in parts of the largest
   readonly values: Int32Array; // [span + 1, m, parts] in 1 / 64 of the finest unit
@@ -230,7 +231,7 @@ function nothingTold(head: Head, anchors: Anchors, part: 0 | 1): Samples | undef
   if (!levels) return undefined;
   const order = knots(span, (flags & STARTS) > 0, (flags & (turn ? CURVED_TURNS : CURVED_MOVES)) > 0);
   const units = relative(turn ? anchors.turns : anchors.moves);
-  return { turn, levels, order, units, values: new Int32Array(count), told: new Uint8Array(count) };
+  return { turn, levels, span, order, units, values: new Int32Array(count), told: new Uint8Array(count) };
 }
 
 /** `tree` [span + 1, movers, parts] as of all splats. */
@@ -391,14 +392,13 @@ class SymbolReader {
   /** Take `part` on by `level`. */
   tree(part: Samples, near: Neighbours, level: number): void {
     const k = this.kernels;
-    const { order, units, values, told, turn } = part;
+    const { span, order, units, values, told, turn } = part;
     k.scoped((scope) => {
       classes ??= classTables();
       const [knotsAt, classesAt, toldAt, samples] = [scope.put(order), scope.put(classes), scope.put(told), scope.put(values)];
       const [rows, fits, unitsAt] = [scope.put(near.rows), scope.put(near.fits), scope.put(units)];
       const [escapes, escape, tree] = [scope.put(this.escapes), scope.take(8), scope.take(TREE_BYTES)];
       const [parts, splats] = [turn ? 4 : 3, units.length];
-      const span = Math.max(...order.filter((_, i) => i % KNOT_NUMBERS === 1));
       const unit = REFINEMENT ** (LEVELS - 1 - level);
       const numbers = [span, splats, parts, turn ? 1 : 0, order.length / KNOT_NUMBERS, turn ? TURN_TABLE : MOVE_TABLE, REAL_TABLE, unit];
       k.i32(tree, 13).set([...numbers, knotsAt, classesAt, rows, fits, unitsAt]);

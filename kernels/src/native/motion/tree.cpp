@@ -107,7 +107,7 @@ void predict(const CagsKnot& knot, int64_t count, const int32_t* samples, int32_
   if (knot.kind == CAGS_KNOT_START) {
     std::fill_n(guess, count, 0);
   } else if (knot.kind == CAGS_KNOT_END) {
-    if (guess != left) std::copy_n(left, count, guess);
+    std::copy_n(left, count, guess);
   } else if (width == 2 * way) {
     for (int64_t i = 0; i < count; i++) guess[i] = half_of_sum(left[i], right[i]);
   } else {

@@ -6,16 +6,26 @@ import numpy as np
 import pytest
 
 from cags_common.motion.chunk import LEVELS, REFINEMENT
-from cags_encoder.motion.chunks import BASE_LEVELS, COARSE, JUDGED, RUN, ZONES, Course, exactness, some
+from cags_encoder.motion.chunks import (
+    BASE_LEVELS,
+    BASE_ZONES,
+    COARSE,
+    JUDGED,
+    LAST_ZONES,
+    RUN,
+    Trajectories,
+    exactness,
+    some,
+)
 from cags_encoder.motion.tolerance import Tolerance, Tolerances
 from support.anchors import scattered
 
 
-def waves(size: float) -> tuple[Course, np.ndarray]:
+def waves(size: float) -> tuple[Trajectories, np.ndarray]:
     """Samples [17, 200, 3] in units, and a mask that marks all as present."""
     random = np.random.default_rng(0)
     values = size * np.sin(np.arange(17)[:, None, None] / 5 + random.uniform(0, 6, (1, 200, 3)))
-    return Course(values, scattered(200), True, False), np.ones((17, 200), bool)
+    return Trajectories(values, scattered(200), True, False), np.ones((17, 200), bool)
 
 
 def test_what_quantised_looks_hide_is_told_by_the_usual_units() -> None:
@@ -43,7 +53,9 @@ def test_motion_that_nobody_sees_is_told_by_one_level() -> None:
 
 def test_dead_zones_are_the_widest_that_the_tolerance_allows() -> None:
     found = [exactness(*waves(40.0), Tolerance(base, 0.5, 0.1)) for base in np.linspace(4.2, 8.0, 12)]
-    assert {each.zones[0] for each in found} <= set(ZONES[0]) and {each.zones[-1] for each in found} <= set(ZONES[1])
+    assert {each.zones[0] for each in found} <= set(BASE_ZONES) and {each.zones[-1] for each in found} <= set(
+        LAST_ZONES
+    )
     for tighter, looser in pairwise(found):
         assert tighter.finer > looser.finer or tighter.zones[0] <= looser.zones[0]
     assert len({each.zones[0] for each in found}) > 1 == len({each.finer for each in found})
