@@ -153,12 +153,8 @@ bool fits(const CagsMotionTile& tile) {
     const void* array;
     int64_t wanted;
   } arrays[] = {
-      {tile.rows, splats},
-      {tile.moves, 3 * splats * samples},
-      {tile.turns, 4 * splats * samples},
-      {tile.move_steps, splats},
-      {tile.turn_steps, splats},
-      {tile.lives, splats},
+      {tile.rows, splats},       {tile.moves, 3 * splats * samples}, {tile.turns, 4 * splats * samples},
+      {tile.move_steps, splats}, {tile.turn_steps, splats},          {tile.lives, splats},
   };
   static_assert(std::size(arrays) == std::size(CagsMotionTile{}.lengths));
   for (size_t i = 0; i < std::size(arrays); i++) {

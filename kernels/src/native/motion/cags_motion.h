@@ -27,13 +27,13 @@ struct CagsMotionTree {
   int32_t parts, turn;  // 3 and 0, or 4 and 1
   int32_t knots;
   int32_t first_table, first_real_table;
-  int32_t unit;                // finest units a unit of the residuals, a power of two
-  const CagsKnot* order;       // [knots]
-  const uint8_t* classes;      // [8, 1324] of a residual, by what is known and what it tells
-  const int32_t* neighbours;   // [splats, 8] of each splat, which come before it
-  const float* fits;           // [splats, 8, 8] of each: share, place (3), what it adds to the slopes (3), to the level
-  const float* units;          // [splats] of the residuals, in parts of the largest
-  int64_t lengths[4];          // elements of the last four, in their order
+  int32_t unit;               // finest units a unit of the residuals, a power of two
+  const CagsKnot* order;      // [knots]
+  const uint8_t* classes;     // [8, 1324] of a residual, by what is known and what it tells
+  const int32_t* neighbours;  // [splats, 8] of each splat, which come before it
+  const float* fits;          // [splats, 8, 8] of each: share, place (3), what it adds to the slopes (3), to the level
+  const float* units;         // [splats] of the residuals, in parts of the largest
+  int64_t lengths[4];         // elements of the last four, in their order
 };
 
 // One tile at a time. Null pointers leave that part of the motion out.

@@ -17,7 +17,9 @@ struct Place {
   double x, y, z;
 };
 
-Place away(const float* from, const float* to) { return {double(to[0]) - from[0], double(to[1]) - from[1], double(to[2]) - from[2]}; }
+Place away(const float* from, const float* to) {
+  return {double(to[0]) - from[0], double(to[1]) - from[1], double(to[2]) - from[2]};
+}
 
 // The nearest of what it was shown, the first of those at one distance.
 struct Nearest {

@@ -58,7 +58,9 @@ bool fits(const CagsTreeEncoding& given, const CagsMotionTree& tree) {
 }
 
 int32_t wrapped_sum(int32_t a, int32_t b) { return static_cast<int32_t>(static_cast<uint32_t>(a) + static_cast<uint32_t>(b)); }
-int32_t wrapped_product(int32_t a, int32_t b) { return static_cast<int32_t>(static_cast<uint32_t>(a) * static_cast<uint32_t>(b)); }
+int32_t wrapped_product(int32_t a, int32_t b) {
+  return static_cast<int32_t>(static_cast<uint32_t>(a) * static_cast<uint32_t>(b));
+}
 int32_t half_of_sum(int32_t a, int32_t b) { return (a >> 1) + (b >> 1) + (a & b & 1); }  // rounded down, of the whole sum
 
 int magnitude(int32_t residual) {
@@ -197,7 +199,8 @@ class Walk {
 
  private:
   Run run(const Group& group, int part, uint8_t* activity, bool any_told) {
-    return {group, part, which_.data(), guesses_.data() + part, residuals_[part].data(), activity, any_told ? told_.data() : nullptr};
+    return {
+        group, part, which_.data(), guesses_.data() + part, residuals_[part].data(), activity, any_told ? told_.data() : nullptr};
   }
 
   bool all_told(const uint8_t* told) const {
@@ -285,12 +288,12 @@ class Walk {
   }
 
   const CagsMotionTree& tree_;
-  int32_t unit_ = 1;               // of the group, in 1/64 of the finest unit
+  int32_t unit_ = 1;  // of the group, in 1/64 of the finest unit
   float spread_unit_ = 0.0f;
-  std::vector<Numbers> off_;                  // [splats] of what their line leads to expect; 0: not coded yet
-  std::vector<uint8_t> activity_;             // [span + 1, splats]
-  std::vector<bool> coded_;                   // [span + 1]
-  std::vector<int32_t> guesses_;              // of the group
+  std::vector<Numbers> off_;       // [splats] of what their line leads to expect; 0: not coded yet
+  std::vector<uint8_t> activity_;  // [span + 1, splats]
+  std::vector<bool> coded_;        // [span + 1]
+  std::vector<int32_t> guesses_;   // of the group
   std::vector<Whole> spreads_;
   std::vector<std::vector<int32_t>> residuals_;
   std::vector<uint16_t> size_;
