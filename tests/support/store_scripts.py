@@ -78,6 +78,7 @@ class Recorder:
             "columns": {name: zlib.crc32(np.ascontiguousarray(array)) for name, array in gof.splats.arrays()},
             "owners": zlib.crc32((gof.shown.owner >= 0).astype(np.uint8)),
             "rows": committed.rows.tolist(),
+            "began": committed.began.tolist(),
             "moved": committed.moved.tolist(),
             "flags": [committed.gof, committed.fresh, committed.missed, gof.full, self.store.keeps],
             "held": held,

@@ -1,8 +1,12 @@
 """What has changed since a reference was made: there it says nothing that could be relied on.
 
 The client shows exactly what a reference assumes when it shows the reference's own frame. At later frames, while no
-other has come, splats may have been refined, or have moved; and a client that had nothing to wait for may have shown
-more than a reference assumes that comes after all.
+other has come, splats may have got other looks, been refined, moved or ended; and a client that had nothing to wait for
+may have shown more than a reference assumes that comes after all.
+
+A difference says what a splat lacked with the looks that it had; with others it lacks something else, even where they
+came in time and by the mark that the difference assumes. A picture stays right where splats are refined, but not where
+they look otherwise than in its own frame.
 
 Where splats move as the reference assumes, its correction stays mostly right: what the client lacked of a splat a frame
 ago, it lacks near there now. This does not hold for motion that has arrived since, nor for a picture, from which the
@@ -12,6 +16,7 @@ client's render of where the splats are now is subtracted.
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,29 +41,50 @@ MOVED_PX = 2.0
 """Reference pixels by which a splat may have moved since without being taken for changed."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Commit:
+    """What one commit changed."""
+
+    mark: int
+    """Up to which it showed what had come, or which an earlier commit reached."""
+    rows: NDArray[np.intp]
+    began: NDArray[np.int32]
+
+    def after(self, frame: int, basis: int | None) -> NDArray[np.intp]:
+        """Rows that a reference of media ``frame`` does not assume: a difference that assumes mark ``basis``, or a
+        picture (None).
+        """
+        return self.rows if basis is not None and self.mark > basis else self.rows[self.began > frame]
+
+
 class Changes:
     """The commits of late of one scene: what each changed, and the mark up to which it showed."""
 
     def __init__(self) -> None:
-        self._commits: deque[tuple[int, NDArray[np.intp]]] = deque(maxlen=REMEMBERED)
+        self._commits: deque[_Commit] = deque(maxlen=REMEMBERED)
         self._places: deque[tuple[int, F32]] = deque(maxlen=REMEMBERED_FRAMES)
+        self._frame = -1  # that was committed last
         self._mark = self._newest = 0  # of what is displayed; the newest that ever was
 
     def clear(self) -> None:
         """Another group of frames is on display."""
-        self._mark = 0
+        self._mark, self._frame = 0, -1
         self._commits.clear()
         self._places.clear()
 
-    def committed(self, mark: int, rows: NDArray[np.intp]) -> None:
-        """``rows`` changed by showing what came up to ``mark``, or further, where that was shown before."""
-        self._mark, self._newest = mark, max(self._newest, mark)
+    def committed(self, frame: int, mark: int, rows: NDArray[np.intp], began: NDArray[np.int32]) -> None:
+        """``rows`` [n] changed by showing ``frame`` with what came up to ``mark``, or further, where that was shown
+        before; ``began`` [n]: the media frame of what changed each.
+        """
+        if frame < self._frame:  # the play went back
+            self._commits.clear()
+        self._frame, self._mark, self._newest = frame, mark, max(self._newest, mark)
         if len(rows):
-            self._commits.append((self._newest, rows))
+            self._commits.append(_Commit(self._newest, rows, began))
 
     def used(self, basis: int) -> None:
         """A reference made from mark ``basis`` is shown with its own frame."""
-        self._commits = deque(((mark, rows) for mark, rows in self._commits if mark > basis), REMEMBERED)
+        self._commits = deque((commit for commit in self._commits if commit.mark > basis), REMEMBERED)
 
     def shown(self, frame: int, means: F32) -> None:
         """Media ``frame`` is shown, when splats are at ``means`` [N, 3]."""
@@ -68,16 +94,17 @@ class Changes:
             self._places.popleft()
         self._places.append((frame, means.copy()))
 
-    def since(self, basis: int) -> bool:
-        """Whether anything that came after mark ``basis`` is shown."""
-        return self._mark > basis or any(mark > basis for mark, _ in self._commits)
+    def since(self, frame: int, basis: int) -> bool:
+        """Whether anything is shown that a difference of ``frame`` does not assume, which assumes mark ``basis``."""
+        return self._mark > basis or any(len(commit.after(frame, basis)) for commit in self._commits)
 
     def spheres(self, since: tuple[int, int | None], splats: Splats, camera: Camera, focal_px: float) -> Spheres:
-        """Around what was changed ``since`` a mark that a difference assumes; of a picture (None), and where more than
-        that is shown, around what has moved since its media frame, as seen at ``focal_px`` from about ``camera``.
+        """Around what was changed ``since`` a reference: its media frame, and the mark that a difference assumes. Of a
+        picture (None), and where more than that mark is shown, also around what has moved since that frame, as seen at
+        ``focal_px`` from about ``camera``.
         """
         frame, basis = since
-        rows = [] if basis is None else [changed for mark, changed in self._commits if mark > basis]
+        rows = [commit.after(frame, basis) for commit in self._commits]
         if basis is None or self._mark > basis:
             rows.append(self._moved(frame, splats, camera, focal_px))
         changed = np.unique(np.concatenate(rows)) if rows else np.zeros(0, np.intp)

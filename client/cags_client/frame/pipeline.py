@@ -255,7 +255,8 @@ class ClientPipeline:
         store, committed = self._store.commit(frame, basis)
         if committed.fresh:
             self._changes.clear()
-        self._changes.committed(newest + 1 if basis is None else basis, committed.rows)
+        mark = newest + 1 if basis is None else basis
+        self._changes.committed(frame, mark, committed.rows, committed.began)
         return store, committed
 
     def _basis_at(self, frame: int, reference: Received | None) -> int | None:
@@ -300,7 +301,7 @@ class ClientPipeline:
 
     def _outdated(self, reference: Received, time: float) -> bool:
         """Whether splats have changed until ``time`` in a way that ``reference`` does not assume."""
-        return self._changes.since(reference.basis) if reference.assumes else reference.frame < time
+        return self._changes.since(reference.frame, reference.basis) if reference.assumes else reference.frame < time
 
     def _made_restorer(self) -> Restorer | None:
         """The restorer of aligned pictures that the viewer chose; None for another choice."""

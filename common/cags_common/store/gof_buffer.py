@@ -33,6 +33,8 @@ from cags_common.store.tile_decode import Arrival, Key, Opener
 from cags_common.tiles.inventory import InventoryEntry
 from cags_common.tiles.splat_buffer import Slot, SplatBuffer
 
+UNTOUCHED = -1
+
 
 @dataclass(frozen=True, slots=True)
 class Changes:
@@ -40,6 +42,8 @@ class Changes:
 
     rows: NDArray[np.intp]
     """[M] rows whose splats changed."""
+    began: NDArray[np.int32]
+    """[M] of each, the media frame of the newest tile or end of a splat that changed it."""
     moved: NDArray[np.intp]
     """[K] further rows, of which only position, rotation and opacity changed."""
     whole: bool
@@ -52,6 +56,8 @@ class Committed:
 
     gof: int
     rows: NDArray[np.intp]
+    began: NDArray[np.int32]
+    """[M] as in :class:`Changes`."""
     moved: NDArray[np.intp]
     fresh: bool
     missed: bool
@@ -161,18 +167,20 @@ class GofBuffer:
         self.whole = self._horizon >= frame and frame in self._ended
         self._tiles.stage_unless_decoding(horizon)
         updates = self._tiles.due(horizon, limit)
-        touched = np.zeros(self.capacity, dtype=bool)
+        began = np.full(self.capacity, UNTOUCHED, np.int32)
         if self._rewound:
-            touched[:], self._rewound = True, False
+            began[:], self._rewound = 0, False
         for f, ids in ends:
-            touched[self._buffer.remove(f, ids)] = True
+            _raise_to(began, self._buffer.remove(f, ids), f)
         for staged in updates:
-            touched[self._show(staged)] = True
+            _raise_to(began, self._show(staged), staged.held.key[0])
         moved = self._buffer.move(float(frame))
         self._forget_past(frame, changed=bool(updates or ends))
+        touched = began != UNTOUCHED
         only = np.zeros(self.capacity, dtype=bool)
         only[moved] = True
-        return Changes(np.nonzero(touched)[0], np.nonzero(only & ~touched)[0], self.whole)
+        rows = np.nonzero(touched)[0]
+        return Changes(rows, began[rows], np.nonzero(only & ~touched)[0], self.whole)
 
     def move(self, time: float) -> NDArray[np.intp]:
         """Move the displayed splats to ``time``, after the committed frame; returns the moved rows [K]. Only position,
@@ -304,6 +312,10 @@ class GofBuffer:
             return self._buffer.uses(held.key[0], held.ids_of, shown=True)
         looks = self._tiles.looks(held.looks)
         return looks is not None and looks.on_display and self._buffer.moves(held.looks) == held.key[0]
+
+
+def _raise_to(began: NDArray[np.int32], rows: NDArray[np.integer], frame: int) -> None:
+    began[rows] = np.maximum(began[rows], frame)
 
 
 def _tell_replaced(store: weakref.ref[GofBuffer], slot: Slot) -> None:

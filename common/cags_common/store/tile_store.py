@@ -133,9 +133,10 @@ class TileStore:
                 break
         shown = begun or self._shown or wanted
         none = np.zeros(0, np.intp)
-        changes = made.get(shown, Changes(none, none, False))
+        changes = made.get(shown, Changes(none, none.astype(np.int32), none, False))
         fresh, self._shown = shown is not self._shown, shown
-        return shown, Committed(gof, changes.rows, changes.moved, fresh, shown is not wanted or not changes.whole)
+        missed = shown is not wanted or not changes.whole
+        return shown, Committed(gof, changes.rows, changes.began, changes.moved, fresh, missed)
 
     def _drop_before(self, gof: int) -> None:
         with self._lock:
@@ -151,7 +152,8 @@ class TileStore:
         if store is None or store.shown_frame != frame:
             return None
         gof = self._manifest.gof_of(frame)
-        return store, Committed(gof, np.zeros(0, np.intp), store.move(frame + share), False, not store.whole)
+        rows, began = np.zeros(0, np.intp), np.zeros(0, np.int32)
+        return store, Committed(gof, rows, began, store.move(frame + share), False, not store.whole)
 
     # ---------------------------------------------------------------------------------------------------------- figures
 

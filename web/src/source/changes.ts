@@ -16,23 +16,28 @@ export interface Changed {
 
 /** The commits of late of one scene: what each changed, the mark up to which it showed, and where splats were. */
 export class Changes {
-  private commits: { readonly mark: number; readonly rows: Int32Array }[] = [];
+  private commits: { readonly mark: number; readonly rows: Int32Array; readonly began: Int32Array }[] = [];
   private places: { readonly frame: number; readonly means: Float32Array }[] = [];
+  private frame = -1; // that was committed last
   private mark = 0; // of what is displayed
   private newest = 0; // that ever was
 
   /** Another group of frames is on display. */
   clear(): void {
     this.mark = 0;
+    this.frame = -1;
     this.commits = [];
     this.places = [];
   }
 
-  /** `rows` changed by showing what came up to `mark`, or further, where that was shown before. */
-  committed(mark: number, rows: Int32Array): void {
+  /** `rows` changed by showing `frame` with what came up to `mark`, or further, where that was shown before; `began`: the
+   * media frame of what changed each. */
+  committed(frame: number, mark: number, rows: Int32Array, began: Int32Array): void {
+    if (frame < this.frame) this.commits = []; // the play went back
+    this.frame = frame;
     this.mark = mark;
     this.newest = Math.max(this.newest, mark);
-    if (rows.length) this.commits.push({ mark: this.newest, rows });
+    if (rows.length) this.commits.push({ mark: this.newest, rows, began });
     if (this.commits.length > REMEMBERED) this.commits.shift();
   }
 
@@ -49,13 +54,14 @@ export class Changes {
     if (this.places.length > REMEMBERED_FRAMES) this.places.shift();
   }
 
-  /** Positions and radii of what was changed; of what has moved, for a picture and where more is shown than a difference
-   * assumes. Of many every so many-th. */
+  /** Positions and radii of what was changed since a reference's frame, or by more than the mark that a difference
+   * assumes; of what has moved, for a picture and where more is shown than that. Of many every so many-th. */
   since(since: ChangedSince, means: Float32Array, logScales: Float32Array): Changed {
-    const { basis } = since;
+    const { frame, basis } = since;
     const flags = new Uint8Array(means.length / 3);
-    if (basis !== undefined) {
-      for (const { mark, rows } of this.commits) if (mark > basis) for (const row of rows) flags[row] = 1;
+    for (const { mark, rows, began } of this.commits) {
+      const later = basis !== undefined && mark > basis;
+      for (let i = 0; i < rows.length; i++) if (later || began[i]! > frame) flags[rows[i]!] = 1;
     }
     if (basis === undefined || this.mark > basis) this.addMoved(flags, since, means);
     let count = 0;

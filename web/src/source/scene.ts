@@ -122,7 +122,7 @@ export class SceneStore {
   private committed(frame: number, basis: number | undefined): [GofBuffer, Committed] {
     const [store, committed] = this.store.commit(frame, basis);
     if (committed.fresh) this.changes.clear();
-    this.changes.committed(basis ?? this.mark + 1, committed.rows);
+    this.changes.committed(frame, basis ?? this.mark + 1, committed.rows, committed.began);
     return [store, committed];
   }
 

@@ -15,9 +15,11 @@ import type { StoredLooks, StoredMotion, StoredUpdate, Staged } from "./storedTi
 import { frameOf, type Key } from "./keys.ts";
 import { SplatBuffer } from "./splatBuffer.ts";
 
-/** What a commit did: rows that changed, further ones that only moved, and whether the end of the frame was there. */
+/** What a commit did: rows that changed, the media frame of the newest tile or end of a splat that changed each, further
+ * rows that only moved, and whether the end of the frame was there. */
 export interface Changes {
   readonly rows: Int32Array;
+  readonly began: Int32Array;
   readonly moved: Int32Array;
   readonly whole: boolean;
 }
@@ -114,13 +116,21 @@ export class GofBuffer {
     this.tiles.stage(horizon, horizon);
     const updates = this.tiles.due(horizon, limit);
     const touched = new Uint8Array(this.buffer.capacity); // 1: changed, 2: only moved
+    const began = new Int32Array(this.buffer.capacity);
+    const change = (rows: Iterable<number>, since: number): void => {
+      for (const row of rows) {
+        touched[row] = 1;
+        if (began[row]! < since) began[row] = since;
+      }
+    };
     if (this.rewound) touched.fill(1);
     this.rewound = false;
-    for (const [f, { removed }] of ends) for (const row of this.buffer.remove(f, removed)) touched[row] = 1;
-    for (const staged of updates) for (const row of this.show(staged)) touched[row] = 1;
+    for (const [f, { removed }] of ends) change(this.buffer.remove(f, removed), f);
+    for (const staged of updates) change(this.show(staged), frameOf(staged.held.key));
     for (const rows of this.buffer.move(frame)) for (const row of rows) touched[row] ||= 2;
     this.forgetPast(frame, updates.length + ends.length > 0);
-    return { rows: where(touched, 1), moved: where(touched, 2), whole: this.whole };
+    const rows = where(touched, 1);
+    return { rows, began: rows.map((row) => began[row]!), moved: where(touched, 2), whole: this.whole };
   }
 
   /** Show the splats on display where they are at `time`, after the frame that was committed; the rows that moved. */

@@ -11,6 +11,7 @@ import { frameOf, type Key, keyOf } from "./keys.ts";
 export interface Committed {
   readonly gof: number;
   readonly rows: Int32Array;
+  readonly began: Int32Array;
   readonly moved: Int32Array;
   readonly fresh: boolean;
   /** The end of this frame was not there: something older is shown. */
@@ -114,11 +115,11 @@ export class TileStore {
       break;
     }
     const shown = begun ?? this.shown ?? wanted;
-    const { rows, moved, whole } = made.get(shown) ?? { rows: NONE, moved: NONE, whole: false };
+    const { rows, began, moved, whole } = made.get(shown) ?? { rows: NONE, began: NONE, moved: NONE, whole: false };
     const fresh = shown !== this.shown;
     this.shown = shown;
     this.sweep();
-    return [shown, { gof, rows, moved, fresh, missed: shown !== wanted || !whole }];
+    return [shown, { gof, rows, began, moved, fresh, missed: shown !== wanted || !whole }];
   }
 
   /** Show the splats on display where they are `share` frames after `frame`, the last that was committed; undefined where
@@ -127,7 +128,7 @@ export class TileStore {
     const store = this.shown;
     if (!store || store.shownFrame !== frame) return undefined;
     const moved = store.move(frame + share);
-    return [store, { gof: gofOf(this.manifest, frame), rows: NONE, moved, fresh: false, missed: !store.whole }];
+    return [store, { gof: gofOf(this.manifest, frame), rows: NONE, began: NONE, moved, fresh: false, missed: !store.whole }];
   }
 
   private dropBefore(gof: number): void {

@@ -13,8 +13,13 @@ const at = (shift: number): Float32Array => new Float32Array([-1 + shift, 0, 4, 
 function shown(mark: number, ...rows: number[]): Changes {
   const changes = new Changes();
   changes.shown(10, at(0));
-  changes.committed(mark, Int32Array.from(rows));
+  committed(changes, 10, mark, rows, 0);
   return changes;
+}
+
+/** `rows` change with `frame` by what begins in frame `began`. */
+function committed(changes: Changes, frame: number, mark: number, rows: number[], began: number): void {
+  changes.committed(frame, mark, Int32Array.from(rows), new Int32Array(rows.length).fill(began));
 }
 
 function count(changes: Changes, basis: number | undefined, means: Float32Array): number {
@@ -30,13 +35,22 @@ test("motion that a difference assumes takes its correction along", () => {
 test("where more is shown than a difference assumes, what has moved counts", () => {
   const changes = shown(2);
   assert.equal(count(changes, 1, at(1)), 2);
-  changes.committed(1, new Int32Array());
+  committed(changes, 10, 1, [], 0);
   assert.equal(count(changes, 1, at(1)), 0);
 });
 
-test("what was changed counts for a difference from before, and never for a picture", () => {
+test("what was refined counts for a difference from before, and never for a picture", () => {
   const changes = shown(2, 1);
   assert.equal(count(changes, 1, at(0)), 1);
   assert.equal(count(changes, 2, at(0)), 0);
   assert.equal(count(changes, undefined, at(0)), 0);
+});
+
+test("looks that begin after a reference's frame count for every reference, until the play goes back", () => {
+  const changes = shown(1);
+  committed(changes, 11, 1, [1], 11);
+  assert.equal(count(changes, 1, at(0)), 1);
+  assert.equal(count(changes, undefined, at(0)), 1);
+  committed(changes, 3, 1, [], 0);
+  assert.equal(count(changes, 1, at(0)), 0);
 });

@@ -37,6 +37,7 @@ function shown(store: TileStore, gof: GofBuffer, committed: Committed): Record<s
     columns: Object.fromEntries(COLUMNS.map((name) => [name, crc32(bytes(gof.buffer.column(name)))])),
     owners: crc32(Uint8Array.from(gof.buffer.owner, (owner) => (owner >= 0 ? 1 : 0))),
     rows: [...committed.rows],
+    began: [...committed.began],
     moved: [...committed.moved],
     flags: [committed.gof, committed.fresh, committed.missed, gof.full, store.keeps],
     held: store.held().map((t) => [t.frame, t.tile, t.lods]).sort((a, b) => a[0]! - b[0]! || a[1]! - b[1]!),

@@ -65,6 +65,21 @@ def test_only_what_moved_is_told_of_and_apart_from_what_is_new(store: TileStore)
     assert (committed.rows.tolist(), committed.moved.tolist()) == ([1], [0])
 
 
+def test_what_changed_is_told_of_with_the_frame_in_which_that_begins(store: TileStore) -> None:
+    whole = looks([0, 1, 2], 5)
+    send(store, 0, 0, whole, slice(0, 1))
+    send(store, 1, 0, recoloured([1], 6))
+    store.end(0, removed())
+    store.end(1, removed())
+    store.end(2, removed(2))
+    store.commit(0)
+    send(store, 0, 0, whole, slice(1, 3))
+    _, committed = store.commit(2)
+    told = dict(zip(committed.rows.tolist(), committed.began.tolist(), strict=True))
+    assert told == {0: 0, 1: 1, 2: 2}, "refined, recoloured, ended"
+    assert store.commit(1)[1].began.max() == 1, "going back shows what had begun by then"
+
+
 def some_moving(store: TileStore) -> None:
     """A tile of two splats of which the second moves."""
     moves = np.zeros((4, 2, 3))
