@@ -48,6 +48,8 @@ class ClipEncoder:
         self.placer = ClipPlacer(source.name, settings.gof_frames)
         self.capacity: list[int] = []
         """For each group, its largest id plus one."""
+        self.outdated_db: float | None = None
+        """See :attr:`~cags_common.bundle.manifest.Manifest.outdated_db`."""
         self._gof: GofWriter | None = None
 
     def run(
@@ -104,6 +106,7 @@ class ClipEncoder:
         for frame, quantised in ahead(self._workers, quantise_looks, followed, lambda frame: (self._codec, frame)):
             yield _Chosen(frame, quantised.source, groups.send(frame, quantised))
             trails.forget(frame.index)
+        self.outdated_db = None if groups.outdated_db is None else round(groups.outdated_db, 3)
 
     def _write(self, frame: Placed, record: FrameRecord) -> None:
         if frame.key:

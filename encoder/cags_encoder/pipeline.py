@@ -314,6 +314,7 @@ class _Encoding:
             lod_gains_db=codec.lod_gains_db,
             base_psnr_db=codec.base_psnr_db,
             still_psnr_db=self._still,
+            outdated_db=clip.outdated_db,
             codec=self._settings.codec,
             quantiser=self._settings.quantiser,
             up=_vector(np.asarray(source.up)),

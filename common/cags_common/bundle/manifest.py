@@ -112,6 +112,9 @@ class Manifest:
     still_psnr_db: tuple[tuple[int, float], ...] = ()
     """(frames, PSNR) by rising frames: renders of a frame against those of the frame so many later, in the mean over
     the clip; empty when it was not measured."""
+    outdated_db: float | None = None
+    """Squared visible error of the attributes that updates replace, relative to that of the updates' level 0, dB, in
+    the mean over the clip; None when it was not measured, or there are no updates."""
     version: int = VERSION
 
     @property
@@ -137,7 +140,7 @@ class Manifest:
         for name in ("pruning", "motion", "tracks"):
             if table[name] is None:
                 del table[name]
-        for name in ("weights_crc", "base_psnr_db"):
+        for name in ("weights_crc", "base_psnr_db", "outdated_db"):
             if table[name] is None:
                 del table[name]
         if not self.still_psnr_db:
@@ -182,6 +185,7 @@ def _checked(fields: Fields) -> Manifest:
         lod_gains_db=fields.many("lod_gains_db", lambda f: f.number("", -1e3, 1e3), MAX_LODS - 1),
         base_psnr_db=fields.number("base_psnr_db", -1e3, 1e3) if fields.has("base_psnr_db") else None,
         still_psnr_db=fields.many("still_psnr_db", _still, MAX_STILL) if fields.has("still_psnr_db") else (),
+        outdated_db=fields.number("outdated_db", -1e3, 1e3) if fields.has("outdated_db") else None,
         codec=fields.text("codec"),
         quantiser=fields.text("quantiser"),
         up=fields.vector("up"),

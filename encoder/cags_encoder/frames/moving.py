@@ -103,6 +103,16 @@ class MovingGroups:
         self._fading = np.zeros(0, bool)  # [capacity] whether a fade describes the opacity now
         self._faded: list[Ids] = []  # ids whose fades ended at this frame
         self._owner = np.zeros((0, 2), np.int64)  # [capacity] key of the tile that holds a splat's looks
+        self._outdated = self._coarse = 0.0
+
+    @property
+    def outdated_db(self) -> float | None:
+        """Squared visible error of what updates have replaced so far, relative to that of their own lowest level, dB.
+        None before any update.
+        """
+        if not self._outdated or not self._coarse:
+            return None
+        return float(10 * np.log10(self._outdated / self._coarse))
 
     def send(self, frame: Placed, quantised: QuantisedDelta) -> tuple[CutTile | UpdateCut | TrackSpan, ...]:
         """Content of ``frame``; ``quantised`` [k] are its changes that are more than motion."""
@@ -238,6 +248,7 @@ class MovingGroups:
         rows = np.flatnonzero(np.logical_or.reduce(list(changed.values())))
         if not len(rows) or self._held is None:
             return []
+        self._compare(self._held.take(ids), changed, quantised, fresh)
         self._take_over(ids, changed, rows, fresh)
         means = quantised.prepared.means
         most = len(rows) > MOST_CHANGE * int(self._held.alive.sum())
@@ -248,6 +259,17 @@ class MovingGroups:
             masks = {book.attribute: self._mask(book.attribute, changed)[run] for book in self._books}
             tiles.append(UpdateCut(ids[run], masks, _svq(quantised).take(run), corners(means[run])))
         return tiles
+
+    def _compare(
+        self, held: Splats, changed: dict[str, NDArray[np.bool_]], quantised: QuantisedDelta, fresh: Splats
+    ) -> None:
+        """Add up the errors of the attributes that an update replaces, and of its lowest level, against its highest."""
+        coarse = self._codec.coarse(_svq(quantised))
+        weight = np.maximum(drawn(held.logit_opacities), drawn(fresh.logit_opacities))
+        old, new = (_effects(shown, fresh, fresh.log_scales, weight) for shown in (held, coarse))
+        for name in COLUMNS:
+            self._outdated += float(np.square(old[name][changed[name]]).sum())
+            self._coarse += float(np.square(new[name][changed[name]]).sum())
 
     def _after_fades(self, frame: int, judged: Ids) -> list[UpdateCut]:
         """Opacities of splats whose fade has ended and that are not among the ``judged`` ones: the decoder holds their

@@ -79,6 +79,8 @@ class Observation:
     """(frames, squared error relative to a base layer's) of splats that have stood still for so long, as measured, by
     rising frames; empty if unknown.
     """
+    outdated_error: float | None = None
+    """Squared error of what updates replace, relative to that of their base layers, as measured; None if unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +93,8 @@ class Upgrade:
     to_lod: int
     urgent: bool = False
     """Its detail, too, is worth nothing late."""
+    together: int = 1
+    """LoDs that come at once, where it is new: fewer would look worse than none, or be seen to be few."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,14 +5,11 @@ from __future__ import annotations
 from enum import Enum, auto
 
 from cags_server.ratecontrol.base import Decision, Observation, TileView
-from cags_server.ratecontrol.utility import AHEAD_FRAMES, errors_of, left_by
-
-NEAR = 2.0
-"""A tile is good from the level on that leaves at most so many times the squared error of its last one."""
+from cags_server.ratecontrol.utility import AHEAD_FRAMES, NEAR, errors_of, left_by
 
 
 def lacking_bytes(observation: Observation) -> int:
-    """Bytes missing until every visible tile reaches a good level; tiles that begin later count less."""
+    """Bytes missing until every visible tile is about as good as it can be; tiles that begin later count less."""
     errors = errors_of(observation)
     return round(sum(_early(tile, observation.frame) * _bytes(tile, errors.lods) for tile in observation.tiles))
 

@@ -24,6 +24,7 @@ class Plan:
         self._depth = dict(self._start)
         self._frame = observation.frame
         self._passing = {(tile.frame, tile.tile): tile.passing for tile in observation.tiles}
+        self._together: dict[tuple[int, int], int] = {}
         self._order: list[tuple[int, int]] = []
 
     def depth(self, tile: TileView) -> int:
@@ -53,6 +54,23 @@ class Plan:
             self._order.append(key)
         return True
 
+    def raise_together(self, tile: TileView, to_lod: int) -> bool:
+        """Plan the LoDs of ``tile``, of which the client has none, up to ``to_lod`` as one; False where there is no
+        budget or no room for all of them, or it lacks the tile that it comes after.
+        """
+        key = (tile.frame, tile.tile)
+        if self._depth[key] or self.lacks(tile):
+            return False
+        cost = sum(tile.lod_bytes[:to_lod]) + self._overhead
+        urgent = tile.frame <= self._frame
+        if not (self._fits(cost, urgent=urgent) or self._goes_alone(tile, cost)):
+            return False
+        self._spent += cost
+        self._urgent += cost * urgent
+        self._depth[key] = self._together[key] = to_lod
+        self._order.append(key)
+        return True
+
     def lacks(self, tile: TileView) -> bool:
         """Whether ``tile`` is worth nothing so far, for want of the tile that it comes after."""
         return tile.after is not None and not self._depth.get(tile.after, 0)
@@ -74,5 +92,8 @@ class Plan:
 
     def decision(self) -> Decision:
         """The planned upgrades in the order in which their tiles were first raised."""
-        upgrades = tuple(Upgrade(*key, self._start[key], self._depth[key], self._passing[key]) for key in self._order)
+        upgrades = tuple(
+            Upgrade(*key, self._start[key], self._depth[key], self._passing[key], self._together.get(key, 1))
+            for key in self._order
+        )
         return Decision(upgrades, self._spent)

@@ -7,14 +7,18 @@ frames for which it will be seen before the media replaces it: detail on splats 
 thirtieth of the same detail on splats that stay for a second. A base layer is worth most if the client holds no older
 splats in its place, as in a key frame.
 
-Motion and updates have the same unit of value. Splats without their motion stand still, and splats without an update
-show an old attribute; both errors grow with time. How fast that of standing still grows is measured by the encoder
-(``still_psnr_db``), since clips differ by a factor of ten thousand. The last level of motion that says anything leaves
-as much error as the best looks do, each level before it more. A chunk that begins later is worth less now, so chunks
-that begin together are sent one by one while the link has room.
+Motion and updates have the same unit of value. Splats without their motion stand still, which is the worse the longer
+it lasts; how fast is measured by the encoder (``still_psnr_db``), since clips differ by a factor of ten thousand.
+Splats without an update show an old attribute; the encoder measures how wrong that is (``outdated_db``). The last level
+of motion that says anything leaves as much error as the best looks do, each level before it more. A chunk that begins
+later is worth less now, so chunks that begin together are sent one by one while the link has room.
 
 A layer of small gain may precede one of large gain. A tile's layers are therefore offered in runs along the convex hull
 of removed distortion over bytes, steepest first, which makes the greedy order optimal up to the last run.
+
+The first layers of motion or of an update may be worse than what is shown without: they go with as many more as it
+takes to be better, or not at all. An update comes at once as good as what is around it, or its splats would be seen to
+change twice.
 """
 
 from __future__ import annotations
@@ -32,8 +36,8 @@ from cags_server.ratecontrol.plan import Plan
 HOLE_DB, STALE_DB = 20.0, 6.0
 """Error of a missing tile, and of the previous frame's splats where that was not measured, relative to a base layer."""
 
-UPDATE_DB = -6.0
-"""Error of an outdated attribute relative to a base layer's; encoders write updates for less than that."""
+OUTDATED = 1.0
+"""Error of an outdated attribute relative to a base layer's, where it was not measured."""
 
 LEVEL_DB = 20.0 * log10(REFINEMENT)
 """Error of a level of motion relative to the next, by the ratio of their units."""
@@ -48,6 +52,9 @@ LEAST_GAIN_DB = 0.005
 """Smallest gain of a layer, so that layers without measured gain still use free budget."""
 
 
+NEAR = 2.0
+"""Looks are about as good as others if they leave at most so many times the squared error."""
+
 KNOWN_HULLS = 512
 """Number of tiles whose runs are cached (1.5 kB each); most tiles do not change between frames, and what changes is not
 asked for again.
@@ -61,6 +68,8 @@ class _Run:
     tile: TileView
     to_lod: int
     slope: float
+    together: int = 0
+    """LoDs without which none is worth anything; 0 where every one is."""
 
 
 class UtilityPolicy:
@@ -72,7 +81,9 @@ class UtilityPolicy:
         errors = errors_of(observation)
         runs = _with_their_looks(run for tile in observation.tiles for run in _runs(observation, tile, errors))
         for run in runs:
-            while plan.depth(run.tile) < run.to_lod and plan.raise_once(run.tile):
+            if plan.depth(run.tile) < run.together:
+                plan.raise_together(run.tile, run.together)
+            while run.together <= plan.depth(run.tile) < run.to_lod and plan.raise_once(run.tile):
                 pass
             if plan.depth(run.tile) == 0 and not plan.lacks(run.tile):
                 break  # no level has more value per byte than this one, so the rest of the budget is saved for it
@@ -101,6 +112,8 @@ class Errors:
     """Mean error of the held looks over the picture."""
     still: tuple[tuple[float, float], ...] = ()
     """See :attr:`~cags_server.ratecontrol.base.Observation.still_errors`."""
+    outdated: float = OUTDATED
+    """See :attr:`~cags_server.ratecontrol.base.Observation.outdated_error`."""
 
 
 def errors_of(observation: Observation) -> Errors:
@@ -109,7 +122,8 @@ def errors_of(observation: Observation) -> Errors:
     looks = [tile for tile in observation.tiles if tile.kind == TileKind.LOOKS and tile.depth]
     weight = sum(tile.weight for tile in looks)
     held = sum(tile.weight * lods[tile.depth - 1] for tile in looks) / weight if weight else 1.0
-    return Errors(lods, held, observation.still_errors)
+    outdated = OUTDATED if observation.outdated_error is None else observation.outdated_error
+    return Errors(lods, held, observation.still_errors, outdated)
 
 
 def _distortions(observation: Observation) -> tuple[float, ...]:
@@ -136,7 +150,7 @@ def _frames_left(tile: TileView) -> float:
 def absent(tile: TileView, errors: Errors) -> float:
     """Squared error without the tile, relative to that of its base layer, as a mean over its remaining frames."""
     if tile.kind == TileKind.UPDATE:
-        return min(errors.held + _ratio(UPDATE_DB) * tile.stale_frames, _ratio(HOLE_DB))
+        return min(errors.held + errors.outdated, _ratio(HOLE_DB))
     if tile.kind == TileKind.MOTION:  # the error of a missing chunk grows for a long time
         return stood_still(tile.stale_frames + tile.frames_left / 2, errors.still)
     return tile.replaces * stood_still(tile.stale_frames, errors.still) + (1.0 - tile.replaces) * _ratio(HOLE_DB)
@@ -185,7 +199,19 @@ def _runs(observation: Observation, tile: TileView, errors: Errors) -> list[_Run
     layered, overhead = observation.layered, observation.message_overhead_bytes
     left = levels[tile.depth :]
     hull = _hull(tile.lod_bytes, tile.depth, held, left, overhead=overhead, layered=layered)
-    return [_Run(tile, to_lod, slope * value) for to_lod, slope in hull]
+    together = _together(tile, errors, held, left) if layered and not tile.depth else 0
+    return [_Run(tile, to_lod, slope * value, together) for to_lod, slope in hull]
+
+
+def _together(tile: TileView, errors: Errors, held: float, left: tuple[float, ...]) -> int:
+    """The LoDs of a new tile that go at once: as many as it takes to be better than what is ``held``; of an update, to
+    be about as good as the looks around it.
+    """
+    least = next((lod for lod, after in enumerate(left, start=1) if after < held), len(left))
+    if tile.kind == TileKind.UPDATE:
+        around = NEAR * errors.held
+        least = max(least, next((lod for lod, error in enumerate(errors.lods, start=1) if error <= around), len(left)))
+    return min(least, len(left)) if least > 1 else 0
 
 
 @lru_cache(KNOWN_HULLS)

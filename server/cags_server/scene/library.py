@@ -34,6 +34,8 @@ class SceneLibrary:
         """What clients make of tiles."""
         self.weights = reader.weights()
         self.still_errors = _still_errors(reader.manifest)
+        outdated_db = reader.manifest.outdated_db
+        self.outdated_error = None if outdated_db is None else 10.0 ** (outdated_db / 10.0)
         """(frames, squared error relative to the base layer's) if nothing moves for so long; empty if unknown."""
         """Weights of a restorer trained for this content, offered to clients."""
         self._owners = Recent[tuple[int, int], Owners](OWNER_BYTES, least=OWNER_FRAMES)  # by (group, frame)

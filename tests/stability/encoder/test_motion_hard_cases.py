@@ -204,6 +204,24 @@ def test_an_attribute_that_changes_is_sent_by_itself(tmp_path: Path) -> None:
         assert changed.keys() == {"sh0"} and 45 <= changed["sh0"] <= 50  # a faint one's may not be worth it
 
 
+def test_how_wrong_old_attributes_are_is_measured_against_the_lowest_level_of_new_ones(tmp_path: Path) -> None:
+    """Twice the change is four times the squared error, and the levels of the new colours stay about what they are."""
+
+    def coloured(by: float) -> Callable[[Splats, int], Splats]:
+        return lambda first, k: with_changes(first, sh0=first.sh0 + np.float32(by if k >= 9 else 0.0))
+
+    found = []
+    for by in (1.0, 2.0):
+        encode(clip(coloured(by)), FAST, str(tmp_path / f"{by}"))
+        with BundleReader.open(str(tmp_path / f"{by}")) as reader:
+            assert reader.manifest.outdated_db is not None
+            found.append(reader.manifest.outdated_db)
+    assert 3.0 < found[1] - found[0] < 9.0
+    encode(clip(lambda first, _: first), FAST, str(tmp_path / "still"))
+    with BundleReader.open(str(tmp_path / "still")) as reader:
+        assert reader.manifest.outdated_db is None
+
+
 def test_ids_of_the_source_that_swap_are_two_splats_that_cross(tmp_path: Path) -> None:
     first = cloud(SPLATS, 7)
     swapped = np.arange(SPLATS, dtype=np.int32)

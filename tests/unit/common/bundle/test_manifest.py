@@ -24,6 +24,7 @@ MANIFEST = Manifest(
     lod_gains_db=(3.5, -0.1),
     base_psnr_db=24.5,
     still_psnr_db=((1, 41.0), (4, 33.25)),
+    outdated_db=-3.5,
     codec="svq",
     quantiser="paper-66",
     tracks=TrackStatistics(5, 20, 0.8, 2.5, (8, 4), ChangedShares(0.5, 0.0, 0.0, 0.9, 0.1, 0.0)),
@@ -43,8 +44,9 @@ def test_a_manifest_comes_back_and_its_public_part_says_nothing_of_files() -> No
 
 
 def test_what_is_optional_may_be_absent() -> None:
-    bare = replace(MANIFEST, tracks=None, base_psnr_db=None, still_psnr_db=())
-    assert not any(name in bare.to_json() for name in (b"tracks", b"base_psnr_db", b"still_psnr_db"))
+    bare = replace(MANIFEST, tracks=None, base_psnr_db=None, still_psnr_db=(), outdated_db=None)
+    names = (b"tracks", b"base_psnr_db", b"still_psnr_db", b"outdated_db")
+    assert not any(name in bare.to_json() for name in names)
     assert Manifest.from_json(bare.to_json()) == bare
 
 
@@ -78,6 +80,7 @@ def test_unknown_fields_are_left_alone() -> None:
         ({"lod_order": [["scale", 1]] * 300}, "at most"),
         ({"lod_gains_db": [1.0]}, "lod_gains_db"),
         ({"base_psnr_db": 1e9}, "base_psnr_db"),
+        ({"outdated_db": "much"}, "outdated_db"),
         ({"still_psnr_db": [[4, 30.0], [1, 40.0]]}, "still_psnr_db"),
         ({"still_psnr_db": [[0, 30.0]]}, "still_psnr_db"),
         ({"still_psnr_db": [[1.5, 30.0]]}, "still_psnr_db"),

@@ -53,6 +53,33 @@ def test_where_little_moves_looks_are_refined_first(errors: tuple[float, float],
     assert create_rate_policy("utility").decide(observation).upgrades[0].frame == first[0]
 
 
+@pytest.mark.parametrize("outdated", [0.01, 1.0, 4.0])
+@pytest.mark.parametrize(("around", "least"), [(4, 4), (1, 1)])
+def test_an_update_comes_at_once_as_good_as_what_is_around_or_not_at_all(
+    outdated: float, around: int, least: int
+) -> None:
+    """Once colours stood at their lowest level for some frames, at 39 dB, in a picture of 50."""
+    update, looks = replace(UPDATE, lod_bytes=(50, 0, 40, 30)), replace(LOOKS, depth=around, weight=0.01)
+    gains = (9.0, 9.0, 9.0)
+    least = least if outdated + 0.1 ** (0.9 * (around - 1)) > 1.0 else max(least, 3)
+    size = 10 + sum(update.lod_bytes[:least])
+    for budget in range(0, 200, 5):
+        observation = Observation(FRAME, budget, (update, looks), gains, 10, outdated_error=outdated)
+        sent = [u for u in create_rate_policy("utility").decide(observation).upgrades if u.frame == update.frame]
+        assert len(sent) == (budget >= size)
+        assert all(u.together == least for u in sent)
+        late = create_rate_policy("utility").decide(replace(observation, timely_bytes=size - 1))
+        assert not any(u.frame == update.frame for u in late.upgrades)
+
+
+def test_coarse_motion_that_is_worse_than_standing_still_does_not_go_without_the_finer() -> None:
+    still = ((1.0, 0.3), (16.0, 0.6))
+    for budget in range(0, 400, 10):
+        observation = Observation(FRAME, budget, (CHUNK,), (2.0, 2.0, 2.0), 10, still_errors=still)
+        decided = levels(create_rate_policy("utility").decide(observation))
+        assert decided == ({(18, 1): (0, 2)} if budget >= 260 else {})
+
+
 POINTS = st.lists(st.floats(0, 1e3), min_size=2, max_size=5).map(
     lambda errors: tuple((4.0**at, error) for at, error in enumerate(sorted(errors)))
 )
