@@ -199,19 +199,22 @@ def _runs(observation: Observation, tile: TileView, errors: Errors) -> list[_Run
     layered, overhead = observation.layered, observation.message_overhead_bytes
     left = levels[tile.depth :]
     hull = _hull(tile.lod_bytes, tile.depth, held, left, overhead=overhead, layered=layered)
-    together = _together(tile, errors, held, left) if layered and not tile.depth else 0
+    together = _together(observation, tile, errors, (held, *left)) if layered and not tile.depth else 0
     return [_Run(tile, to_lod, slope * value, together) for to_lod, slope in hull]
 
 
-def _together(tile: TileView, errors: Errors, held: float, left: tuple[float, ...]) -> int:
-    """The LoDs of a new tile that go at once: as many as it takes to be better than what is ``held``; of an update, to
-    be about as good as the looks around it.
+def _together(observation: Observation, tile: TileView, errors: Errors, levels: tuple[float, ...]) -> int:
+    """The LoDs of a new tile that go at once: as many as it takes to be better than nothing, whose error comes first in
+    ``levels``; of an update that the budget suffices for, to be about as good as the looks around it.
     """
-    least = next((lod for lod, after in enumerate(left, start=1) if after < held), len(left))
+    absent, *left = levels
+    together = next((lod for lod, error in enumerate(left, start=1) if error < absent), len(left))
     if tile.kind == TileKind.UPDATE:
-        around = NEAR * errors.held
-        least = max(least, next((lod for lod, error in enumerate(errors.lods, start=1) if error <= around), len(left)))
-    return min(least, len(left)) if least > 1 else 0
+        near = next((lod for lod, error in enumerate(errors.lods, 1) if error <= NEAR * errors.held), len(left))
+        near = min(near, len(left))
+        if sum(tile.lod_bytes[:near]) + observation.message_overhead_bytes <= observation.budget_bytes:
+            together = max(together, near)
+    return together if together > 1 else 0
 
 
 @lru_cache(KNOWN_HULLS)

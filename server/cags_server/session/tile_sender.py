@@ -79,6 +79,11 @@ class TileSender:
         now, later = _begun_by(frame, base)
         return [*out, *now, *later, *detail]
 
+    def in_advance(self, upgrades: tuple[Upgrade, ...], deadline_us: int) -> list[ev.Outgoing]:
+        """Messages of a frame that ends later."""
+        base, detail = (self._layers if self.layered else self._whole_tiles)(upgrades, deadline_us)
+        return [*base, *detail]
+
     def beginning(self, frame: int, camera: Camera) -> list[ev.Outgoing]:
         """A picture from nothing, whatever the budget: base layers in view, the frame's end, the other base layers."""
         self.from_nothing = False
@@ -138,11 +143,11 @@ class TileSender:
         entry = self._library.entry(tile.frame)
         sizes = entry.tiles[tile.tile].lod_bytes
         depth = self.inventory.depth(tile.frame, tile.tile)
-        while 0 < depth < len(sizes) and not sizes[depth]:  # of attributes that an update leaves as they are
-            depth += 1
         above = self.inventory.mask(tile.frame, tile.tile) >> depth  # what is held beyond a gap
         if above:
             sizes = (*sizes[:depth], *(0 if above >> i & 1 else size for i, size in enumerate(sizes[depth:])))
+        while 0 < depth < len(sizes) and not sizes[depth]:  # held, or of attributes that an update leaves as they are
+            depth += 1
         return TileView(
             tile.frame,
             tile.tile,

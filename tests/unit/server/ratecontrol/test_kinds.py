@@ -53,23 +53,29 @@ def test_where_little_moves_looks_are_refined_first(errors: tuple[float, float],
     assert create_rate_policy("utility").decide(observation).upgrades[0].frame == first[0]
 
 
-@pytest.mark.parametrize("outdated", [0.01, 1.0, 4.0])
-@pytest.mark.parametrize(("around", "least"), [(4, 4), (1, 1)])
-def test_an_update_comes_at_once_as_good_as_what_is_around_or_not_at_all(
-    outdated: float, around: int, least: int
-) -> None:
+def updates(observation: Observation) -> list[tuple[int, int]]:
+    """LoDs of the update that go at once, and all that go."""
+    decided = create_rate_policy("utility").decide(observation).upgrades
+    return [(u.together, u.to_lod) for u in decided if (u.frame, u.tile) == (UPDATE.frame, UPDATE.tile)]
+
+
+@pytest.mark.parametrize(("around", "together"), [(4, 4), (3, 3), (1, 1)])
+def test_an_update_comes_at_once_as_good_as_what_is_around(around: int, together: int) -> None:
     """Once colours stood at their lowest level for some frames, at 39 dB, in a picture of 50."""
     update, looks = replace(UPDATE, lod_bytes=(50, 0, 40, 30)), replace(LOOKS, depth=around, weight=0.01)
-    gains = (9.0, 9.0, 9.0)
-    least = least if outdated + 0.1 ** (0.9 * (around - 1)) > 1.0 else max(least, 3)
-    size = 10 + sum(update.lod_bytes[:least])
-    for budget in range(0, 200, 5):
-        observation = Observation(FRAME, budget, (update, looks), gains, 10, outdated_error=outdated)
-        sent = [u for u in create_rate_policy("utility").decide(observation).upgrades if u.frame == update.frame]
-        assert len(sent) == (budget >= size)
-        assert all(u.together == least for u in sent)
-        late = create_rate_policy("utility").decide(replace(observation, timely_bytes=size - 1))
-        assert not any(u.frame == update.frame for u in late.upgrades)
+    seen = Observation(FRAME, 130, (update, looks), (9.0, 9.0, 9.0), 10, outdated_error=4.0)
+    assert updates(seen) == [(together, 4)]
+    assert updates(replace(seen, timely_bytes=sum(update.lod_bytes[:together]) + 9)) == [], "it would come late"
+
+
+def test_an_update_larger_than_any_budget_comes_as_far_as_it_is_better_than_what_is_old() -> None:
+    update, looks = replace(UPDATE, lod_bytes=(50, 0, 40, 30)), replace(LOOKS, depth=4, weight=0.01)
+    for outdated, least, size in ((4.0, 1, 60), (0.5, 3, 100)):
+        for budget in range(0, 130, 5):
+            seen = Observation(FRAME, budget, (update, looks), (9.0, 9.0, 9.0), 10, outdated_error=outdated)
+            sent = updates(seen)
+            assert len(sent) == (budget >= size)
+            assert all(together == least for together, _ in sent)
 
 
 def test_coarse_motion_that_is_worse_than_standing_still_does_not_go_without_the_finer() -> None:

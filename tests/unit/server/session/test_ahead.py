@@ -123,7 +123,7 @@ def test_ahead_is_counted_in_frames_that_the_client_displays() -> None:
     assert [ends(out) for out in outs] == [[1, 2, 3, 4, 5, 6], [7, 8], [9, 10], [11]]
 
 
-def test_a_paused_viewer_gets_the_tiles_of_its_own_frame() -> None:
+def test_a_paused_viewer_gets_the_tiles_of_its_own_frame_and_then_of_the_next_ones() -> None:
     rig = Rig(FAR)
     rig.play()
     rig.step()
@@ -133,10 +133,45 @@ def test_a_paused_viewer_gets_the_tiles_of_its_own_frame() -> None:
     assert {record.ahead.frame for record in list(rig.streamer.stats.records)[1:]} == {2}
     assert [ends(out) for out in outs] == [[0, 1, 2], [], [], []], "what it holds is ended again, and once"
     assert not any(mark.restart for mark in rig.marks)
+    prepared = [frame for out in outs for frame, _ in first_levels(out)]
+    assert set(prepared) == {4, 5}, "those of frame 3 it holds"
+    assert prepared == sorted(prepared)
     rig.control("play", 2, 900_000, keeps=True)
     out = rig.step()
-    assert ends(out) == [3, 4, 5]
-    assert {frame for frame, _ in first_levels(out)} == {4, 5}, "those of frame 3 it holds"
+    assert (ends(out), first_levels(out)) == ([3, 4, 5], [])
+
+
+def test_what_a_held_play_begins_with_is_there_before_it_begins() -> None:
+    """Once the updates of eight frames were due when the first of them was shown, and came after it."""
+    rig = Rig(FAR)
+    rig.poses(0, 20_000)
+    rig.control("pause", 0, 0)
+    outs = [rig.step() for _ in range(6)]
+    assert {frame for out in outs for frame, _ in first_levels(out)} == set(range(1, AHEAD + 1))
+    assert not any(ends(out) for out in outs)
+    rig.control("play", 0, 900_000)
+    out = rig.step()
+    assert (ends(out), first_levels(out)) == ([1, 2, 3], [])
+    assert not any(mark.restart for mark in rig.marks)
+
+
+def test_nothing_is_prepared_while_the_frame_on_display_lacks_something_nor_beyond_its_group() -> None:
+    rig = Rig(FAR, gof=4)
+    rig.poses(0, 20_000)
+    rig.control("pause", 2, 0)
+    outs = [rig.step() for _ in range(6)]
+    assert max(frame for out in outs for frame, _ in first_levels(out)) == 3
+    slow = Rig(FAR, initial_bps=40_000.0)
+    slow.poses(0, 20_000)
+    slow.control("pause", 0, 0)
+    sent = of(TileLayers, slow.opening + [each for _ in range(40) for each in slow.step()])
+    later = [at for at, tile in enumerate(sent) if tile.frame]
+    whole = {
+        (tile, lod) for tile in range(len(slow.library.entry(0).tiles)) for lod in range(slow.library.manifest.lods)
+    }
+    first = {(tile.tile, lod) for tile in sent[: later[0]] for lod in range(tile.from_lod, tile.to_lod)}
+    assert later, "it is prepared in time"
+    assert first == whole
 
 
 def test_in_a_loop_the_first_frames_end_before_the_last_ones_are_shown() -> None:
