@@ -94,10 +94,17 @@ class TileSender:
         return out + [self._tile(key, (0, 1), HIDDEN_PRIORITY) for key in lacking[1]]
 
     def _layers(self, upgrades: tuple[Upgrade, ...], deadline_us: int) -> Parts:
-        """Base layers, which go ahead of everybody's detail, with what comes at once with them; and the detail."""
+        """Base layers, which go ahead of everybody's detail; and detail, the first of which are tiles of which several
+        levels come at once: no frame waits for these.
+        """
         fresh = [u for u in upgrades if u.from_lod == 0]
-        base = [self._tile((u.frame, u.tile), (0, u.together), BASE_PRIORITY, deadline_us) for u in fresh]
+        base = [self._tile((u.frame, u.tile), (0, 1), BASE_PRIORITY, deadline_us) for u in fresh if u.together == 1]
         detail = [
+            self._tile((u.frame, u.tile), (0, u.together), URGENT_PRIORITY, deadline_us)
+            for u in fresh
+            if u.together > 1
+        ]
+        detail += [
             self._tile((u.frame, u.tile), run, URGENT_PRIORITY if u.urgent else ENHANCEMENT_PRIORITY, deadline_us)
             for u in sorted(upgrades, key=lambda u: u.from_lod > 0)
             for run in self._missing_runs(u.frame, u.tile, max(u.from_lod, u.together), u.to_lod)
