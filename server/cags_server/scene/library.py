@@ -33,11 +33,12 @@ class SceneLibrary:
         self.decoded = DecodedTiles(reader, decoded_bytes)
         """What clients make of tiles."""
         self.weights = reader.weights()
+        """Weights of a restorer trained for this content, offered to clients."""
         self.still_errors = _still_errors(reader.manifest)
+        """(frames, squared error relative to the base layer's) if nothing moves for so long; empty if unknown."""
         outdated_db = reader.manifest.outdated_db
         self.outdated_error = None if outdated_db is None else 10.0 ** (outdated_db / 10.0)
-        """(frames, squared error relative to the base layer's) if nothing moves for so long; empty if unknown."""
-        """Weights of a restorer trained for this content, offered to clients."""
+        """Squared error of what updates replace, relative to the base layer's; None if unknown."""
         self._owners = Recent[tuple[int, int], Owners](OWNER_BYTES, least=OWNER_FRAMES)  # by (group, frame)
         self._stays = Recent[int, Stays](OWNER_BYTES)  # by frame
         self._maps: dict[int, TileMap] = {}  # by group

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from enum import Enum, auto
 
 from cags_common.geometry import Camera, Pose
 from cags_common.tiles.inventory import InventoryEntry
@@ -83,6 +84,17 @@ GREETING_AGAIN_US = 20_000
 """Interval between attempts at a first picture while the renderer has no free slot."""
 
 
+class _Held(Enum):
+    """What a viewer has who is paused at a frame."""
+
+    LACKS = auto()
+    """Not yet enough of it."""
+    GOOD = auto()
+    """It, about as good as it will be."""
+    FOLLOWED = auto()
+    """The frames after it, too."""
+
+
 class Streamer:
     """Decides what is sent to one client."""
 
@@ -124,7 +136,7 @@ class Streamer:
         self._went_ahead: FrameRecord | None = None  # what was sent for the pending render
         self._newest: FrameRecord | None = None  # the frame that was served last, while the client lacks some of it
         self._decided_us = 0  # when tiles were chosen last
-        self._prepared = 0  # frames after the one that the viewer is paused at, of which all that is seen was sent
+        self._held = _Held.LACKS  # the frame that the viewer is paused at
         self._marks: list[ev.Outgoing] = []
         self._ends = WaitingEnds()
         self._joined_us = self._marked_us = 0
@@ -241,7 +253,7 @@ class Streamer:
     def _on_control(self, control: Control, now_us: int) -> None:
         self._schedule.controlled(control, now_us)
         self._arrivals.restart()
-        self._went_ahead, self._newest, self._prepared = None, None, 0
+        self._went_ahead, self._newest, self._held = None, None, _Held.LACKS
         self._ends.clear()
         self._tiles.client_keeps = control.keeps
         if control.action == "seek":
@@ -620,35 +632,12 @@ class Streamer:
         camera = Camera(self._hello.intrinsics, record.predicted, self._hello.near)
         ahead = record.ahead
         if not passing:
-            visible += self._come_into_view(record, visible)
+            visible += self._come_into_view(record, visible) + self._following(record, visible)
         visible = self._visibility.with_ghosts(visible, ahead.frame, camera, self._tiles.inventory, self._tiles.age)
-        decision, found = self._decide(visible, record, now_us, passing=passing)
-        out = self._tiles.upgrades(ahead.frame, decision.upgrades, self._tile_deadline_us(ahead))
+        decision = self._decide(visible, record, now_us, passing=passing)
+        deadline_us = self._viewer.clock.to_server(ahead.display_us) + int(self._settings.tile_deadline_ms * 1000)
+        out = self._tiles.upgrades(ahead.frame, decision.upgrades, deadline_us)
         self._ends.queued(out, ahead.display_us)
-        out = self._counted(out, now_us)
-        if found is Supply.COMPLETE and not passing and not self._schedule.timeline.playing:
-            out += self._prepare(record, now_us)
-        return out
-
-    def _tile_deadline_us(self, ahead: Ahead) -> int:
-        return self._viewer.clock.to_server(ahead.display_us) + int(self._settings.tile_deadline_ms * 1000)
-
-    def _prepare(self, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
-        """Tiles of the frames after the one that the viewer is paused at, who lacks nothing of it: the first frames of
-        a play would otherwise all be due at once. Their ends come with the play.
-        """
-        out: list[ev.Outgoing] = []
-        frame, manifest = record.ahead.frame, self._library.manifest
-        last = manifest.gof_frames(manifest.gof_of(frame))[-1]
-        found = Supply.COMPLETE
-        while found is Supply.COMPLETE and self._prepared < min(self._settings.tiles_ahead, last - frame):
-            later = self._prepared + 1
-            display_us = record.ahead.display_us + round(later * self._schedule.timeline.period_us)
-            step = replace(record, ahead=Ahead(frame + later, display_us), tile_bytes=0)
-            decision, found = self._decide(self._visibility.tiles(frame + later), step, now_us, passing=True)
-            out += self._tiles.in_advance(decision.upgrades, self._tile_deadline_us(step.ahead))
-            record.tile_bytes += step.tile_bytes
-            self._prepared += found is Supply.COMPLETE
         return self._counted(out, now_us)
 
     def _reserve_is_full(self, record: FrameRecord) -> bool:
@@ -696,10 +685,26 @@ class Streamer:
         self._viewer.expect(record)
         return record
 
-    def _decide(
-        self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int, *, passing: bool
-    ) -> tuple[Decision, Supply]:
-        """What the rate policy chooses of ``visible``, and what the client will then have of it."""
+    def _following(self, record: FrameRecord, visible: tuple[VisibleTile, ...]) -> tuple[VisibleTile, ...]:
+        """What begins in the frames after the one that the viewer is paused at, once that one is about as good as it
+        will be: the first frames of a play would otherwise all be due at once. Their ends come with the play.
+        """
+        frame, manifest = record.ahead.frame, self._library.manifest
+        if self._held is not _Held.GOOD or self._schedule.timeline.playing or not self._visibility.tells_of(frame):
+            return ()
+        last = manifest.gof_frames(manifest.gof_of(frame))[-1]
+        known = {(tile.frame, tile.tile) for tile in visible}
+        found: dict[tuple[int, int], VisibleTile] = {}
+        for later in range(frame + 1, min(frame + self._settings.tiles_ahead, last) + 1):
+            for tile in self._visibility.tiles(later):
+                key = tile.frame, tile.tile
+                if tile.frame > frame and key not in known and not self._tiles.view(tile, later, 0.0).complete:
+                    found.setdefault(key, tile)
+        if not found:
+            self._held = _Held.FOLLOWED
+        return tuple(found.values())
+
+    def _decide(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int, *, passing: bool) -> Decision:
         record.estimate_bps = self._link.estimate_bps(now_us)
         frame, display_us = record.ahead.frame, record.ahead.display_us
         to_display_us = self._viewer.clock.to_server(display_us) - now_us
@@ -731,11 +736,14 @@ class Streamer:
             frame_bytes=record.estimate_bps * self._schedule.timeline.period_us / 8e6,
         )
         decision = self._policy.decide(observation)
-        coming_bytes = self._budget.outstanding_bytes + lacking_bytes(observation)
+        lacking = lacking_bytes(observation)
+        coming_bytes = self._budget.outstanding_bytes + lacking
         self._worth.observe(coming_bytes, record.estimate_bps, self._schedule.timeline.period_us)
         self._decided_us = now_us
-        found = supply(observation, decision)
         if not passing:
+            if not lacking and self._held is _Held.LACKS:
+                self._held = _Held.GOOD
+            found = supply(observation, decision)
             self._newest = None if found is Supply.COMPLETE else record
             if self._reserve_is_full(record):
                 self._schedule.reserve.hold()
@@ -744,7 +752,7 @@ class Streamer:
         record.tile_bytes += decision.bytes
         self._budget.close(earned_bytes - decision.bytes, now_us)
         record.visible_tiles, record.upgrades = len(visible), len(decision.upgrades)
-        return decision, found
+        return decision
 
     # ------------------------------------------------------------------------------------------------------ messages
 

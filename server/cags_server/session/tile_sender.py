@@ -79,11 +79,6 @@ class TileSender:
         now, later = _begun_by(frame, base)
         return [*out, *now, *later, *detail]
 
-    def in_advance(self, upgrades: tuple[Upgrade, ...], deadline_us: int) -> list[ev.Outgoing]:
-        """Messages of a frame that ends later."""
-        base, detail = (self._layers if self.layered else self._whole_tiles)(upgrades, deadline_us)
-        return [*base, *detail]
-
     def beginning(self, frame: int, camera: Camera) -> list[ev.Outgoing]:
         """A picture from nothing, whatever the budget: base layers in view, the frame's end, the other base layers."""
         self.from_nothing = False

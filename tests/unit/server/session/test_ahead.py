@@ -161,7 +161,9 @@ def test_nothing_is_prepared_while_the_frame_on_display_lacks_something_nor_beyo
     rig.control("pause", 2, 0)
     outs = [rig.step() for _ in range(6)]
     assert max(frame for out in outs for frame, _ in first_levels(out)) == 3
-    slow = Rig(FAR, initial_bps=40_000.0)
+    served = library()
+    served.reader.manifest = replace(served.manifest, lod_gains_db=(9.0, 9.0, 9.0))
+    slow = Rig(FAR, initial_bps=40_000.0, served=served)
     slow.poses(0, 20_000)
     slow.control("pause", 0, 0)
     sent = of(TileLayers, slow.opening + [each for _ in range(40) for each in slow.step()])
