@@ -1,34 +1,13 @@
-"""Clock, inventory."""
+"""What one client holds, and what is on its way."""
 
 import pytest
 
 from cags_protocol.wire.messages import TileLayers
-from cags_server.session.clock import ClientClock
 from cags_server.visibility.inventory import ClientInventory
 
 
 def layers(first: int, end: int, tile: int = 2, frame: int = 1) -> TileLayers:
     return TileLayers(frame, tile, first, end, (1,) * (end - first), (0,) * (end - first))
-
-
-def test_the_clock_offset_is_the_least_delayed_message_of_the_last_ten_seconds() -> None:
-    clock = ClientClock()
-    for sent, delay in ((0, 30_000), (100_000, 5_000), (200_000, 80_000)):
-        clock.observe(sent, sent + 7_000_000 + delay)
-    assert clock.offset_us == 7_005_000
-    assert clock.to_client(clock.to_server(123)) == 123
-    clock.observe(20_000_000, 27_050_000)
-    assert clock.offset_us == 7_050_000
-
-
-def test_a_guess_is_believed_only_until_something_is_known() -> None:
-    """Once a Control's display time, which lies ahead of its sending, stuck as the smallest offset for ten seconds."""
-    clock = ClientClock()
-    clock.guess(250_000, 7_000_000)
-    assert clock.offset_us == 6_750_000
-    clock.observe(0, 7_010_000)
-    clock.guess(300_000, 7_020_000)
-    assert clock.offset_us == 7_010_000
 
 
 def test_depth_counts_layers_held_or_on_their_way() -> None:
