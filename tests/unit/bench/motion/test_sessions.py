@@ -56,10 +56,10 @@ def test_a_session_is_played_as_its_link_and_seed_say(tmp_path: Path, monkeypatc
     settings = MotionSettings(cache=str(tmp_path / "bundles"))
     scene = "procedural:size=600,frames=12"
     wide = Session("wide", scene, "generated:steady-10", ())
-    thin = Session("thin", scene, "generated:steady-10", (), share=0.02)
+    thin = Session("thin", scene, "generated:steady-10", (), share=0.005)
     first, again, other, little = (played(*way) for way in (
         (wide, settings, 0), (wide, settings, 0), (wide, settings, 1), (thin, settings, 0)
     ))  # fmt: skip
     assert first == again
     assert first["mean_db"] != other["mean_db"]
-    assert little["mean_db"] < first["mean_db"]
+    assert little["mean_db"] < first["mean_db"] - 1.0
