@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from enum import Enum, auto
 
 from cags_common.geometry import Camera, Pose
 from cags_common.tiles.inventory import InventoryEntry
@@ -84,17 +83,6 @@ GREETING_AGAIN_US = 20_000
 """Interval between attempts at a first picture while the renderer has no free slot."""
 
 
-class _Held(Enum):
-    """What a viewer has who is paused at a frame."""
-
-    LACKS = auto()
-    """Not yet enough of it."""
-    GOOD = auto()
-    """It, about as good as it will be."""
-    FOLLOWED = auto()
-    """The frames after it, too."""
-
-
 class Streamer:
     """Decides what is sent to one client."""
 
@@ -136,7 +124,8 @@ class Streamer:
         self._went_ahead: FrameRecord | None = None  # what was sent for the pending render
         self._newest: FrameRecord | None = None  # the frame that was served last, while the client lacks some of it
         self._decided_us = 0  # when tiles were chosen last
-        self._held = _Held.LACKS  # the frame that the viewer is paused at
+        self._held_is_good = False  # the frame that the viewer is paused at, about as good as it will be
+        self._followers: tuple[VisibleTile, ...] | None = None  # what begins after it and was not sent; None: not known
         self._marks: list[ev.Outgoing] = []
         self._ends = WaitingEnds()
         self._joined_us = self._marked_us = 0
@@ -253,7 +242,8 @@ class Streamer:
     def _on_control(self, control: Control, now_us: int) -> None:
         self._schedule.controlled(control, now_us)
         self._arrivals.restart()
-        self._went_ahead, self._newest, self._held = None, None, _Held.LACKS
+        self._went_ahead = self._newest = self._followers = None
+        self._held_is_good = False
         self._ends.clear()
         self._tiles.client_keeps = control.keeps
         if control.action == "seek":
@@ -689,19 +679,25 @@ class Streamer:
         """What begins in the frames after the one that the viewer is paused at, once that one is about as good as it
         will be: the first frames of a play would otherwise all be due at once. Their ends come with the play.
         """
-        frame, manifest = record.ahead.frame, self._library.manifest
-        if self._held is not _Held.GOOD or self._schedule.timeline.playing or not self._visibility.tells_of(frame):
+        frame = record.ahead.frame
+        if self._schedule.timeline.playing or not self._held_is_good or not self._visibility.tells_of(frame):
             return ()
-        last = manifest.gof_frames(manifest.gof_of(frame))[-1]
+        begins = self._beginning_after(frame) if self._followers is None else self._followers
+        self._followers = tuple(tile for tile in begins if not self._tiles.view(tile, tile.frame, 0.0).complete)
         known = {(tile.frame, tile.tile) for tile in visible}
+        return tuple(tile for tile in self._followers if (tile.frame, tile.tile) not in known)
+
+    def _beginning_after(self, frame: int) -> tuple[VisibleTile, ...]:
+        """Tiles in view that begin within :attr:`~cags_server.settings.ServerSettings.tiles_ahead` frames of its group
+        after ``frame``, each as seen in the first of these frames.
+        """
+        manifest = self._library.manifest
+        last = min(frame + self._settings.tiles_ahead, manifest.gof_frames(manifest.gof_of(frame))[-1])
         found: dict[tuple[int, int], VisibleTile] = {}
-        for later in range(frame + 1, min(frame + self._settings.tiles_ahead, last) + 1):
+        for later in range(frame + 1, last + 1):
             for tile in self._visibility.tiles(later):
-                key = tile.frame, tile.tile
-                if tile.frame > frame and key not in known and not self._tiles.view(tile, later, 0.0).complete:
-                    found.setdefault(key, tile)
-        if not found:
-            self._held = _Held.FOLLOWED
+                if tile.frame > frame:
+                    found.setdefault((tile.frame, tile.tile), tile)
         return tuple(found.values())
 
     def _decide(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int, *, passing: bool) -> Decision:
@@ -741,8 +737,7 @@ class Streamer:
         self._worth.observe(coming_bytes, record.estimate_bps, self._schedule.timeline.period_us)
         self._decided_us = now_us
         if not passing:
-            if not lacking and self._held is _Held.LACKS:
-                self._held = _Held.GOOD
+            self._held_is_good |= not lacking
             found = supply(observation, decision)
             self._newest = None if found is Supply.COMPLETE else record
             if self._reserve_is_full(record):
