@@ -151,7 +151,7 @@ export interface FrameRequest {
 }
 
 /** See `cags_client.frame.changes`: since the reference of media frame `frame`, which assumes mark `basis` (undefined: a
- * picture, for which only motion matters), as a reference of `focalPx` at the view `camera` would see it. */
+ * picture, for which refined looks count as unchanged), as a reference of `focalPx` at the view `camera` would see it. */
 export interface ChangedSince {
   readonly frame: number;
   readonly basis?: number;

@@ -4,9 +4,9 @@ The client shows exactly what a reference assumes when it shows the reference's 
 other has come, splats may have got other looks, been refined, moved or ended; and a client that had nothing to wait for
 may have shown more than a reference assumes that comes after all.
 
-A difference says what a splat lacked with the looks that it had; with others it lacks something else, even where they
-came in time and by the mark that the difference assumes. A picture stays right where splats are refined, but not where
-they look otherwise than in its own frame.
+A difference says what a splat lacked with the looks that it had. With other looks it lacks something else, even if they
+arrived in time and before the mark that the difference assumes. A picture stays right where splats are refined, but not
+where their looks have changed since its own frame.
 
 Where splats move as the reference assumes, its correction stays mostly right: what the client lacked of a splat a frame
 ago, it lacks near there now. This does not hold for motion that has arrived since, nor for a picture, from which the

@@ -34,6 +34,7 @@ from cags_common.tiles.inventory import InventoryEntry
 from cags_common.tiles.splat_buffer import Slot, SplatBuffer
 
 UNTOUCHED = -1
+"""In place of a media frame: nothing changed the row."""
 
 
 @dataclass(frozen=True, slots=True)

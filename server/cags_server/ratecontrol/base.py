@@ -94,7 +94,7 @@ class Upgrade:
     urgent: bool = False
     """Its detail, too, is worth nothing late."""
     together: int = 1
-    """LoDs that come at once, where it is new: fewer would look worse than none, or be seen to be few."""
+    """LoDs of a new tile that travel in one message: fewer would look worse than none, or worse than what is around."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -55,8 +55,9 @@ class Plan:
         return True
 
     def raise_together(self, tile: TileView, to_lod: int) -> bool:
-        """Plan the LoDs of ``tile``, of which the client has none, up to ``to_lod`` as one; False where there is no
-        budget or no room for all of them, or it lacks the tile that it comes after.
+        """Plan the first ``to_lod`` LoDs of ``tile``, of which the client has none, all or nothing.
+
+        False where there is no budget or no room for all of them, or the tile that it comes after is missing.
         """
         key = (tile.frame, tile.tile)
         if self._depth[key] or self.lacks(tile):

@@ -16,8 +16,8 @@ later is worth less now, so chunks that begin together are sent one by one while
 A layer of small gain may precede one of large gain. A tile's layers are therefore offered in runs along the convex hull
 of removed distortion over bytes, steepest first, which makes the greedy order optimal up to the last run.
 
-The first layers of motion or of an update may be worse than what is shown without: they go with as many more as it
-takes to be better, or not at all. An update comes at once as good as what is around it, or its splats would be seen to
+The first layers of a tile may be worse than what is shown without it: they go with as many more as it takes to be
+better, or not at all. An update arrives about as good as what is around it; in two steps its splats would be seen to
 change twice.
 """
 
@@ -69,7 +69,7 @@ class _Run:
     to_lod: int
     slope: float
     together: int = 0
-    """LoDs without which none is worth anything; 0 where every one is."""
+    """The first so many LoDs are planned together or not at all; 0 where each may go alone."""
 
 
 class UtilityPolicy:
@@ -204,8 +204,10 @@ def _runs(observation: Observation, tile: TileView, errors: Errors) -> list[_Run
 
 
 def _together(observation: Observation, tile: TileView, errors: Errors, levels: tuple[float, ...]) -> int:
-    """The LoDs of a new tile that go at once: as many as it takes to be better than nothing, whose error comes first in
-    ``levels``; of an update that the budget suffices for, to be about as good as the looks around it.
+    """How many LoDs of a new tile go together; 0 where one will do.
+
+    ``levels`` are the error without the tile and at each of its LoDs. It takes enough LoDs to be better than nothing;
+    for an update, if the budget suffices, enough to be about as good as the looks around it.
     """
     absent, *left = levels
     together = next((lod for lod, error in enumerate(left, start=1) if error < absent), len(left))

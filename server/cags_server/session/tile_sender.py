@@ -89,8 +89,8 @@ class TileSender:
         return out + [self._tile(key, (0, 1), HIDDEN_PRIORITY) for key in lacking[1]]
 
     def _layers(self, upgrades: tuple[Upgrade, ...], deadline_us: int) -> Parts:
-        """Base layers, which go ahead of everybody's detail; and detail, the first of which are tiles of which several
-        levels come at once: no frame waits for these.
+        """Base layers, which go ahead of everybody's detail, and the detail. A new tile whose first levels travel
+        together counts as detail and comes first there, because the end of its frame does not wait for it.
         """
         fresh = [u for u in upgrades if u.from_lod == 0]
         base = [self._tile((u.frame, u.tile), (0, 1), BASE_PRIORITY, deadline_us) for u in fresh if u.together == 1]
