@@ -24,6 +24,7 @@ from cags_encoder.motion.tolerance import Tolerances
 from cags_encoder.motion.trails import Trails
 from cags_encoder.scenes import FrameSource
 from cags_encoder.settings import EncodeSettings
+from cags_encoder.tracks.lasting import ease_of
 from cags_encoder.tracks.placing import ClipPlacer, Placed
 
 
@@ -100,7 +101,7 @@ class ClipEncoder:
         """Looks sent once, changed attributes, and motion."""
         codec, span = self._codec.get(), self._settings.motion_span
         assert isinstance(codec, SvqCodec)
-        trails = Trails(span, SHARE * self._settings.change_threshold)
+        trails = Trails(span, SHARE * self._settings.change_threshold, ease_of(codec.top_psnr_db))
         groups = MovingGroups(codec, motion, trails, self._settings, tolerances)
         followed = trails.follow(placed)
         for frame, quantised in ahead(self._workers, quantise_looks, followed, lambda frame: (self._codec, frame)):

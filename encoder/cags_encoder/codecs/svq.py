@@ -82,6 +82,11 @@ class SvqCodec:
         step = config.position_step if settings.position_step is None else settings.position_step
         return SvqCodec(quantiser, order, (), settings.position_bits, step)
 
+    @property
+    def top_psnr_db(self) -> float | None:
+        """PSNR of renders with every level; None if it was not measured."""
+        return None if self.base_psnr_db is None else self.base_psnr_db + sum(self.lod_gains_db)
+
     def codebooks(self) -> bytes:
         """Serialised :class:`~cags_common.tiles.svq.CodebookSet`."""
         return self.quantiser.books.to_bytes()

@@ -48,9 +48,11 @@ class Window:
 class Trails:
     """Follows frames, group after group, ``span`` frames ahead."""
 
-    def __init__(self, span: int, wrong: float) -> None:
-        """Look ``span`` frames ahead; looks may have a visible error of ``wrong``."""
-        self._span, self._wrong = span, wrong
+    def __init__(self, span: int, wrong: float, ease: float = 1.0) -> None:
+        """Look ``span`` frames ahead; looks may have a visible error of ``wrong``, and more by ``ease`` if they change
+        fast (:func:`cags_encoder.tracks.lasting.ease_of`).
+        """
+        self._span, self._wrong, self._ease = span, wrong, ease
         self._moments: dict[int, _Moment] = {}
         self._newest: _Moment | None = None
         self._ends: dict[int, int] = {}  # first frame of a group -> its last known frame
@@ -115,7 +117,7 @@ class Trails:
             last = later[-1].index if later else frame.index
             splats = replace(splats, logit_opacities=self._peaks(frame, births, last))
         looks = np.flatnonzero(frame.looks)
-        return replace(frame, told=lasting(splats.take(looks), frame.delta.ids[looks], later, self._wrong))
+        return replace(frame, told=lasting(splats.take(looks), frame.delta.ids[looks], later, self._wrong, self._ease))
 
     def _peaks(self, frame: Placed, births: NDArray[np.intp], last: int) -> F32:
         """Opacity logits [m] of the delta's splats; for those of ``births`` that fade, the largest of their life."""

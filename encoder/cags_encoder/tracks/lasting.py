@@ -4,8 +4,9 @@ A decoder keeps a value until it receives another one. The value of the current 
 every frame. The mean of the coming values stays within the same tolerance for twice as long, with the same mean error.
 Noise of the source, which varies around one value, is then coded once.
 
-The number of updates is ``speed / tolerance``, and the squared error grows with the square of the tolerance. Their sum
-is smallest where tolerances grow with the cube root of the speed.
+The number of updates is ``speed / tolerance``, and the squared error grows with the square of the tolerance. What they
+cost together, if an error is worth less the larger that of the looks is anyway, is smallest where the tolerance is the
+cube root of the speed times the squared error of the looks.
 """
 
 from __future__ import annotations
@@ -39,16 +40,27 @@ square over all directions.
 FASTER = 4.0
 """Largest factor by which the tolerance grows with the speed of change, and factor for noise."""
 
+USUAL_DB = 53.0
+"""PSNR of looks with every level for which the tolerance is as the speed alone would have it: that of a room."""
+
+ROUNDED_DB = 58.9
+"""PSNR of pixels rounded to 8 bits. More accurate looks do not make an error more visible."""
+
 NOISE_STEPS = 1.5
 """Least ratio of the total variation of noise to its largest step; it excludes single jumps."""
 
 
-def lasting(splats: Splats, ids: Ids, later: Sequence[Placed], most: float) -> Told:
+def ease_of(psnr_db: float | None) -> float:
+    """Factor of the tolerances of what changes fast, for looks of this PSNR with every level; None: not measured."""
+    return 1.0 if psnr_db is None else 10 ** ((USUAL_DB - min(psnr_db, ROUNDED_DB)) / 30)
+
+
+def lasting(splats: Splats, ids: Ids, later: Sequence[Placed], most: float, ease: float = 1.0) -> Told:
     """Values to code for ``splats`` [n] with ``ids`` [n]: scales, colours and harmonics.
 
     Each value is the mean over the longest run of this frame and the frames ``later`` in which it stays within its
     tolerance. The tolerance is a visible effect of ``most``, and more for an attribute that changes by more than twice
-    that in those frames.
+    that in those frames, or by less with ``ease`` (:func:`ease_of`) above 1.
     """
     changes = _changes(ids, later)
     weight = drawn(splats.logit_opacities)
@@ -60,6 +72,7 @@ def lasting(splats: Splats, ids: Ids, later: Sequence[Placed], most: float) -> T
             effect,
             most,
             weight,
+            ease=ease,
         )
         for name, effect in EFFECTS.items()
     }
@@ -85,6 +98,8 @@ def _lasting(
     effect: Effect,
     most: float,
     weight: F64,
+    *,
+    ease: float,
 ) -> tuple[F32, F64]:
     """:func:`lasting` for one column ``now`` [n, ...], its ``changes`` and the opacities ``weight`` [n]: values, and
     tolerances [n]. Without a tolerance (``most`` of 0) nothing but the present values will do.
@@ -97,7 +112,7 @@ def _lasting(
     mine = np.flatnonzero(differs)
     frames, weight = list(_frames(now, changes, mine)), weight[mine]
     tolerance = np.full(len(now), most)
-    tolerance[mine] *= _slack(now[mine], frames, effect, weight / most)
+    tolerance[mine] *= _slack(now[mine], frames, effect, weight / most, ease)
     limit = tolerance[mine]
     low = high = total = now[mine].astype(np.float64)
     count, within = np.ones(len(mine)), np.ones(len(mine), bool)
@@ -132,7 +147,7 @@ def _frames(
         yield current, there[mine]
 
 
-def _slack(now: F32, frames: Sequence[tuple[F32, NDArray[np.bool_]]], effect: Effect, weight: F64) -> F64:
+def _slack(now: F32, frames: Sequence[tuple[F32, NDArray[np.bool_]]], effect: Effect, weight: F64, ease: float) -> F64:
     """Factor [m] of each tolerance for what changes fast, or is noise; ``weight`` [m] are in tolerances.
 
     Second differences of noise are larger than first differences; those of a trend are smaller. Noise of a quantised
@@ -151,7 +166,7 @@ def _slack(now: F32, frames: Sequence[tuple[F32, NDArray[np.bool_]]], effect: Ef
         again, frames_there = again + np.where(there, repeated, 0.0), frames_there + there
         before, earlier, change = values, before, step
     noise = (bent > gone) & (gone > NOISE_STEPS * largest) & (again > frames_there / 2)
-    slack: F64 = np.where(noise, FASTER, np.clip(np.cbrt(gone / 2), 1.0, FASTER))
+    slack: F64 = np.where(noise, FASTER, np.clip(ease * np.cbrt(gone / 2), 1.0, FASTER))
     return slack
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from cags_common.bundle import SourceDelta
 from cags_common.splats import SH_C0, Splats
-from cags_encoder.tracks.lasting import FASTER, lasting
+from cags_encoder.tracks.lasting import FASTER, ROUNDED_DB, USUAL_DB, ease_of, lasting
 from cags_encoder.tracks.placing import Placed
 
 N, MOST = 6, 0.01
@@ -53,6 +53,18 @@ def test_what_drifts_is_told_as_the_middle_of_what_it_will_be() -> None:
     lasts = sum(step <= 2 * tolerance[0] + 1e-9 for step in steps)
     assert np.allclose(told.splats.sh0, grey(np.mean(steps[:lasts])), atol=1e-6)
     assert SH_C0 * np.abs(told.splats.sh0).max() <= tolerance[0] + 1e-6
+
+
+def test_what_changes_fast_is_told_more_exactly_the_better_the_looks_are() -> None:
+    fast = frames([splats(grey(0.05 * at)) for at in range(1, 20)])
+    wrong = [
+        lasting(splats(grey(0)), np.arange(N), fast, MOST, ease_of(psnr_db)).wrong["sh0"][0]
+        for psnr_db in (40, USUAL_DB, 56, ROUNDED_DB, 70)
+    ]
+    assert wrong[0] == pytest.approx(FASTER * MOST)
+    assert wrong[0] > wrong[1] > wrong[2] > wrong[3] == wrong[4] >= MOST
+    unmeasured = lasting(splats(grey(0)), np.arange(N), fast, MOST, ease_of(None)).wrong["sh0"][0]
+    assert unmeasured == wrong[1]
 
 
 def test_noise_is_told_as_its_mean() -> None:
