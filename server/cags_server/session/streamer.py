@@ -8,11 +8,9 @@ Pure: no clock, no socket, no task. The owner passes ``now_us`` (server clock), 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 
 from cags_common.geometry import Camera, Pose
 from cags_common.tiles.inventory import InventoryEntry
-from cags_common.tiles.kinds import TileKind
 from cags_protocol import events as ev
 from cags_protocol.timeline import Timeline
 from cags_protocol.wire.messages import (
@@ -27,12 +25,9 @@ from cags_protocol.wire.messages import (
 )
 from cags_server.fov import widened
 from cags_server.link import LinkState
-from cags_server.link.byte_budget import MESSAGE_OVERHEAD_BYTES, ByteBudget
+from cags_server.link.byte_budget import ByteBudget
 from cags_server.link.pace import MARGIN_US
 from cags_server.link.reference_budget import REFERENCE_OVERHEAD_BYTES, ReferenceBudget
-from cags_server.ratecontrol import Decision, Observation, create_rate_policy
-from cags_server.ratecontrol.base import mean_level
-from cags_server.ratecontrol.outlook import Supply, lacking_bytes, supply
 from cags_server.records import Ahead, FrameRecord, ReferenceCosts, StreamStats
 from cags_server.reference.coder import ReferenceCoder
 from cags_server.reference.job import FrameJob, FramePlan, FrameRender
@@ -41,12 +36,13 @@ from cags_server.reference.video import ReferenceVideo
 from cags_server.reference.worth import Worth
 from cags_server.scene.library import SceneLibrary
 from cags_server.scene.visible_tiles import VisibleTile
+from cags_server.session.dispatch import Dispatch
 from cags_server.session.frame_arrivals import FrameArrivals
 from cags_server.session.schedule import Schedule
 from cags_server.session.startup import Startup
+from cags_server.session.tile_planner import FEW_PASSED, TilePlanner
 from cags_server.session.tile_sender import TileSender
 from cags_server.session.viewer import Viewer
-from cags_server.session.waiting_ends import WaitingEnds
 from cags_server.settings import PLAIN, ServerSettings
 from cags_server.visibility.visibility import Visibility
 
@@ -64,17 +60,6 @@ coding.
 OVERLOAD = 1.5
 """Largest time to make a reference, in intervals between references; beyond it references become rare."""
 
-FEW_PASSED = 2
-"""Largest number of passed frames that are planned by themselves in a bundle with motion: single attributes may change
-in every frame.
-"""
-
-RESERVED_SPLATS = 1 << 20
-"""Largest number of splats that appear within the reserve: the client holds them decoded, up to 240 bytes each."""
-
-LOOK_BACK_EVERY = 4
-"""Planned frames until what the reserve has passed over is looked for again; every frame where splats are sent whole.
-"""
 
 GREETING_DEADLINE_US = 2_000_000
 """Time after which a first picture is useless, because tiles have arrived."""
@@ -105,29 +90,34 @@ class Streamer:
         self._library, self._settings, self._hello = library, settings, hello
         self._link, self._may_render, self._lightly = link, may_render, lightly
         self._viewer = Viewer(settings, hello)
-        self._policy = create_rate_policy(settings.abr)
         self._coder = ReferenceCoder(settings, hello, library.manifest.fps)
         self._mirror = Mirror(library, settings.render_threads)
         self._tiles = TileSender(library, opening=settings.opening_tiles)
         start = min(hello.start_frame, library.manifest.frames - 1)
         timeline = Timeline(library.manifest.fps, library.manifest.frames, frame=start)
         self._schedule = Schedule(settings, timeline, self._viewer.clock, link)
-        self._budget = ByteBudget(link, settings.queue_ms)
         self._startup = Startup(library, self._tiles)
         self._video = ReferenceVideo()
         self._reference_budget = ReferenceBudget(link, settings.reference_most)
         self._worth = Worth()
         self._visibility = Visibility(library, settings.visible_px)
-        self._arrivals = FrameArrivals(self.stats, self._viewer.clock, library.gof_start)
+        arrivals = FrameArrivals(self.stats, self._viewer.clock, library.gof_start)
+        self._dispatch = Dispatch(ByteBudget(link, settings.queue_ms), arrivals, self.stats)
+        self._planner = TilePlanner(
+            library,
+            settings,
+            viewer=self._viewer,
+            schedule=self._schedule,
+            link=link,
+            visibility=self._visibility,
+            tiles=self._tiles,
+            dispatch=self._dispatch,
+            worth=self._worth,
+        )
         self._rests_until_us = 0  # the renderer, after a job that took long
         self._render_plan: FramePlan | None = None  # the newest
         self._went_ahead: FrameRecord | None = None  # what was sent for the pending render
-        self._newest: FrameRecord | None = None  # the frame that was served last, while the client lacks some of it
-        self._decided_us = 0  # when tiles were chosen last
-        self._held_is_good = False  # the frame that the viewer is paused at, about as good as it will be
-        self._followers: tuple[VisibleTile, ...] | None = None  # what begins after it and was not sent; None: not known
         self._marks: list[ev.Outgoing] = []
-        self._ends = WaitingEnds()
         self._joined_us = self._marked_us = 0
         self._greeting_due_us: int | None = None  # of the first picture, before the viewer starts playback
         self._damaged = False  # a sent message did not arrive completely
@@ -142,9 +132,9 @@ class Streamer:
 
     def startup(self, now_us: int) -> list[ev.Outgoing]:
         """The first messages of a client (:class:`~cags_server.session.startup.Startup`), enough to begin playback."""
-        camera = Camera(self._hello.intrinsics, self._hello.pose, self._hello.near)
+        camera = self._viewer.camera(self._hello.pose)
         self._greeting_due_us, self._joined_us = None if self._startup.resumed else now_us, now_us
-        return self._counted(self._startup.messages(self._schedule.timeline.frame, camera, now_us), now_us)
+        return self._dispatch.queue(self._startup.messages(self._schedule.timeline.frame, camera, now_us), now_us)
 
     @property
     def first_frame(self) -> int:
@@ -178,7 +168,7 @@ class Streamer:
 
     def end_startup(self, now_us: int) -> list[ev.Outgoing]:
         """The end of the first frame while the link is still busy with it, so that playback can begin."""
-        return self._counted(self._startup.end(now_us), now_us)
+        return self._dispatch.queue(self._startup.end(now_us), now_us)
 
     def resume(self, inventory: Iterable[InventoryEntry]) -> None:
         """The client still holds these tiles, and the codebooks, from an earlier session: they are not sent again."""
@@ -197,7 +187,7 @@ class Streamer:
                 self._schedule.cadence_permille = cadence_permille
                 self._schedule.follow_clock(arrival_us)
                 if samples:
-                    self._arrivals.displayed(self._schedule.timeline, samples[-1].t_us, cadence_permille)
+                    self._dispatch.arrivals.displayed(self._schedule.timeline, samples[-1].t_us, cadence_permille)
             case ev.Acknowledged(sample):
                 self._link.on_ack(sample)
                 self.stats.rtt_us, self.stats.bandwidth_bps = sample.rtt_us, self._link.estimate_bps(now_us)
@@ -216,7 +206,7 @@ class Streamer:
                 self._damaged |= reason == "lost" and isinstance(outgoing.message, TileLayers | FrameEnd)
                 display_us = self._left(outgoing)
                 if reason == "cancelled" and display_us is not None and display_us <= self._late_until_us(now_us):
-                    self._ends.taken_back(outgoing, display_us)
+                    self._dispatch.ends.taken_back(outgoing, display_us)
             case ev.Evicted(tiles):
                 for held in tiles:
                     self._tiles.evicted(held)
@@ -237,14 +227,14 @@ class Streamer:
         message = outgoing.message
         if isinstance(message, ReferenceFrame):
             self._reference_budget.left(message.frame)
-        return self._ends.left(message.frame) if isinstance(message, FrameEnd) else None
+        return self._dispatch.ends.left(message.frame) if isinstance(message, FrameEnd) else None
 
     def _on_control(self, control: Control, now_us: int) -> None:
         self._schedule.controlled(control, now_us)
-        self._arrivals.restart()
-        self._went_ahead = self._newest = self._followers = None
-        self._held_is_good = False
-        self._ends.clear()
+        self._dispatch.arrivals.restart()
+        self._went_ahead = None
+        self._planner.restart()
+        self._dispatch.ends.clear()
         self._tiles.client_keeps = control.keeps
         if control.action == "seek":
             self._tiles.go_back(control.frame)
@@ -257,7 +247,7 @@ class Streamer:
         if self._tiles.forgotten:
             self._tiles.forgotten = False
             self._mirror.restart(min(frame, self._library.manifest.frames - 1))
-            self._arrivals.forget()
+            self._dispatch.arrivals.forget()
             self._mark(now_us, restart=True)
 
     def _mark(self, now_us: int, *, restart: bool = False) -> int:
@@ -275,7 +265,7 @@ class Streamer:
         message = outgoing.message
         if isinstance(message, Mark):  # not counted in the plan, because marks are tiny
             return
-        self._budget.settled(outgoing)
+        self._dispatch.budget.settled(outgoing)
         if isinstance(message, TileLayers):
             self._tiles.settled(message, delivered=delivered)
             self._startup.settled(message)
@@ -288,7 +278,7 @@ class Streamer:
         them.
         """
         if isinstance(outgoing.message, FrameEnd):
-            self._arrivals.arrived(outgoing.message.frame, now_us)
+            self._dispatch.arrivals.arrived(outgoing.message.frame, now_us)
         if not (isinstance(outgoing.message, ReferenceFrame) and self._schedule.timeline.playing):
             return
         if outgoing.deadline_us is not None:
@@ -300,21 +290,12 @@ class Streamer:
         """Time to plan the next frame, or more tiles for the last one, by the server's clock; None for neither."""
         if self._greeting_due_us is not None:
             return self._greeting_due_us
-        due_us, detail_us = self.frame_due_us(), self._detail_due_us()
+        due_us, detail_us = self.frame_due_us(), self._planner.detail_due_us()
         return due_us if due_us is None or detail_us is None else min(due_us, detail_us)
 
     def frame_due_us(self) -> int | None:
         """Time to plan the next frame; None if there is none."""
         return self._schedule.next_due_us(self._next_is_seen)
-
-    def _detail_due_us(self) -> int | None:
-        """Time to choose more tiles for the frame that was served last; None if it lacks none, or nobody has seen it.
-
-        Where the lead has become shorter, the next frame is not due for longer than a frame, and the link would idle.
-        """
-        if self._newest is None or self._schedule.rendering or not self._visibility.tells_of(self._newest.ahead.frame):
-            return None
-        return self._decided_us + round(self._schedule.planned_period_us)
 
     def begin(self, now_us: int) -> FrameJob | None:
         """Plan the newest due frame: predict the viewer's pose and choose the field of view. None if no frame is due.
@@ -401,7 +382,7 @@ class Streamer:
         if frame is None or due_us is None:
             return []
         if now_us < due_us:
-            return self._more_detail(now_us)
+            return self._planner.more_detail(now_us)
         between = self._between_references(now_us)
         if not (self._schedule.rendering or between):
             return []
@@ -419,19 +400,8 @@ class Streamer:
         self._enter(ahead, now_us)
         told = seen and self._visibility.tells_of(ahead)
         visible = self._visibility.tiles(ahead) if told else self._tiles_in_view(ahead, plan.predicted.pose)
-        out = self._from_nothing(plan, now_us) + self._passed_over(plan, record, now_us)
-        return out + self._upgrades(visible, record, now_us)
-
-    def _more_detail(self, now_us: int) -> list[ev.Outgoing]:
-        """Tiles for the frame that was served last, if they are due."""
-        record, due_us = self._newest, self._detail_due_us()
-        if record is None or due_us is None or now_us < due_us:
-            return []
-        step = replace(record, tile_bytes=0, reference_bytes=0, ticks_covered=1)
-        out = self._upgrades(self._visibility.tiles(record.ahead.frame), step, now_us, passing=True)
-        record.tile_bytes += step.tile_bytes
-        record.budget_bytes += step.budget_bytes
-        return out
+        out = self._planner.beginning(plan, now_us) + self._planner.passed_over(plan, record, now_us)
+        return out + self._planner.frame(visible, record, now_us)
 
     def _enter(self, frame: int, now_us: int) -> None:
         self._tiles.enter(frame)
@@ -453,7 +423,7 @@ class Streamer:
         return Ahead(frame if then is None else then, self._schedule.timeline.display_us(tick))
 
     def _tiles_in_view(self, frame: int, pose: Pose) -> tuple[VisibleTile, ...]:
-        camera = Camera(self._hello.intrinsics, pose, self._hello.near)
+        camera = self._viewer.camera(pose)
         return self._visibility.guessed_tiles(frame, camera, self._coder.width_px * self._coder.height_px)
 
     def _between_references(self, now_us: int) -> bool:
@@ -547,7 +517,7 @@ class Streamer:
             return []
         if plan.greets:
             self._reference_budget.spent(plan.frame, len(render.coded.access_unit) + REFERENCE_OVERHEAD_BYTES)
-            return self._counted([self._video.message(render, now_us + GREETING_DEADLINE_US)], now_us)
+            return self._dispatch.queue([self._video.message(render, now_us + GREETING_DEADLINE_US)], now_us)
         self._visibility.rendered(plan.ahead.frame, render.contribution)
         overtaken = self._schedule.overtaken(plan.tick)
         if not overtaken:
@@ -556,20 +526,13 @@ class Streamer:
         record = ahead if ahead is not None and ahead.tick == plan.tick else self._record(plan)
         record.reference_late = now_us >= self._viewer.clock.to_server(plan.display_us)
         self.stats.references_late += record.reference_late
-        out = self._counted(self._reference_if_useful(render, record, now_us), now_us)
+        out = self._dispatch.queue(self._reference_if_useful(render, record, now_us), now_us)
         if overtaken:  # its tiles, and later ones, were sent before it
             return out
-        out += self._from_nothing(plan, now_us) + self._passed_over(plan, record, now_us)
-        out += self._upgrades(render.visible, record, now_us)
+        out += self._planner.beginning(plan, now_us) + self._planner.passed_over(plan, record, now_us)
+        out += self._planner.frame(render.visible, record, now_us)
         self._visibility.served(plan.ahead.frame, render.contribution, self._tiles.inventory)
         return out
-
-    def _from_nothing(self, plan: FramePlan, now_us: int) -> list[ev.Outgoing]:
-        """The first tiles of a picture, for a client that holds nothing."""
-        if not self._tiles.from_nothing:
-            return []
-        camera = Camera(self._hello.intrinsics, plan.predicted.pose, self._hello.near)
-        return self._counted(self._tiles.beginning(plan.frame, camera), now_us)
 
     def _reference_if_useful(self, render: FrameRender, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
         """The reference, unless it is too late to be useful; then the next one must be an IDR picture."""
@@ -596,66 +559,6 @@ class Streamer:
             return []
         return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
 
-    def _passed_over(self, plan: FramePlan, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
-        """Tiles and ends of the frames before the one planned ahead that no earlier plan served.
-
-        Where they are many, as at the beginning, only in bundles that send splats anew for every frame: otherwise
-        motion that comes with later frames will do.
-        """
-        if self._library.manifest.motion is not None and len(plan.before) > FEW_PASSED:
-            return []
-        out: list[ev.Outgoing] = []
-        for ahead in plan.before:
-            ended = -1 if self._tiles.ended is None else self._tiles.ended
-            if ended < ahead.frame < plan.ahead.frame and self._visibility.tells_of(ahead.frame):
-                step = replace(record, ahead=ahead, tile_bytes=0)
-                out += self._upgrades(self._visibility.tiles(ahead.frame), step, now_us, passing=True)
-                record.tile_bytes += step.tile_bytes
-        return out
-
-    def _upgrades(
-        self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int, *, passing: bool = False
-    ) -> list[ev.Outgoing]:
-        """The tiles chosen by the rate policy for a frame, and the end of the frame; ``passing``: it is planned beside
-        the later one that is planned at that time.
-        """
-        camera = Camera(self._hello.intrinsics, record.predicted, self._hello.near)
-        ahead = record.ahead
-        if not passing:
-            visible += self._come_into_view(record, visible) + self._following(record, visible)
-        visible = self._visibility.with_ghosts(visible, ahead.frame, camera, self._tiles.inventory, self._tiles.age)
-        decision = self._decide(visible, record, now_us, passing=passing)
-        deadline_us = self._viewer.clock.to_server(ahead.display_us) + int(self._settings.tile_deadline_ms * 1000)
-        out = self._tiles.upgrades(ahead.frame, decision.upgrades, deadline_us)
-        self._ends.queued(out, ahead.display_us)
-        return self._counted(out, now_us)
-
-    def _reserve_is_full(self, record: FrameRecord) -> bool:
-        """Whether what a larger reserve would reach next is not to be reached yet: because of what the client would
-        hold, or because it is in another group of frames than the displayed one, of which nothing was seen.
-        """
-        schedule, gof_of = self._schedule, self._library.manifest.gof_of
-        after = schedule.media_frame(schedule.ahead(record.tick, schedule.reserve.frames + 2))
-        if after is None or after <= record.frame:  # the clip ends, or begins again
-            return False
-        if gof_of(after) != gof_of(record.frame):
-            return True
-        return self._library.tile_map(after).new_splats(record.frame, after) > RESERVED_SPLATS
-
-    def _come_into_view(self, record: FrameRecord, visible: tuple[VisibleTile, ...]) -> tuple[VisibleTile, ...]:
-        """Tiles of a nearer frame than the reserve has reached, of which the client holds nothing: when that frame was
-        planned, the viewer did not see them.
-        """
-        every = 1 if self._library.manifest.motion is None else LOOK_BACK_EVERY
-        if not self._schedule.reserve.grown or record.tick % every:
-            return ()
-        near = self._schedule.media_frame(self._schedule.ahead(record.tick, self._settings.tiles_ahead))
-        if near is None or near >= record.ahead.frame or not self._visibility.tells_of(near):
-            return ()
-        known = {(tile.frame, tile.tile) for tile in visible}
-        tiles = [tile for tile in self._visibility.tiles(near) if (tile.frame, tile.tile) not in known]
-        return tuple(tile for tile in tiles if not self._tiles.inventory.depth(tile.frame, tile.tile))
-
     def _record(self, plan: FramePlan) -> FrameRecord:
         record = FrameRecord(
             tick=plan.tick,
@@ -675,80 +578,6 @@ class Streamer:
         self._viewer.expect(record)
         return record
 
-    def _following(self, record: FrameRecord, visible: tuple[VisibleTile, ...]) -> tuple[VisibleTile, ...]:
-        """What begins in the frames after the one that the viewer is paused at, once that one is about as good as it
-        will be: the first frames of a play would otherwise all be due at once. Their ends come with the play.
-        """
-        frame = record.ahead.frame
-        if self._schedule.timeline.playing or not self._held_is_good or not self._visibility.tells_of(frame):
-            return ()
-        begins = self._beginning_after(frame) if self._followers is None else self._followers
-        self._followers = tuple(tile for tile in begins if not self._tiles.view(tile, tile.frame, 0.0).complete)
-        known = {(tile.frame, tile.tile) for tile in visible}
-        return tuple(tile for tile in self._followers if (tile.frame, tile.tile) not in known)
-
-    def _beginning_after(self, frame: int) -> tuple[VisibleTile, ...]:
-        """Tiles in view that begin within :attr:`~cags_server.settings.ServerSettings.tiles_ahead` frames of its group
-        after ``frame``, each as seen in the first of these frames.
-        """
-        manifest = self._library.manifest
-        last = min(frame + self._settings.tiles_ahead, manifest.gof_frames(manifest.gof_of(frame))[-1])
-        found: dict[tuple[int, int], VisibleTile] = {}
-        for later in range(frame + 1, last + 1):
-            for tile in self._visibility.tiles(later):
-                if tile.frame > frame:
-                    found.setdefault((tile.frame, tile.tile), tile)
-        return tuple(found.values())
-
-    def _decide(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int, *, passing: bool) -> Decision:
-        record.estimate_bps = self._link.estimate_bps(now_us)
-        frame, display_us = record.ahead.frame, record.ahead.display_us
-        to_display_us = self._viewer.clock.to_server(display_us) - now_us
-        longest_us = self._schedule.lead_us + self._settings.tiles_ahead * self._schedule.planned_period_us
-        lead_frames = min(to_display_us, longest_us) / self._schedule.timeline.period_us
-        views = [self._tiles.view(tile, frame, lead_frames) for tile in visible]
-        record.level = mean_level(views)
-        tiles = tuple(view for view in views if view.kind == TileKind.LOOKS or not view.complete)
-        period_us = self._schedule.planned_period_us
-        earned_bytes = self._budget.open(record, self._schedule.timeline.period_us, now_us)
-        spare_us = float(to_display_us - MARGIN_US)
-        now = (tile for tile in tiles if not tile.depth and tile.frame <= frame)
-        fresh = [tile.lod_bytes[0] + MESSAGE_OVERHEAD_BYTES for tile in now]
-        timely_bytes = self._budget.timely(spare_us, period_us, max(fresh, default=0), now_us)
-        room_bytes = max(self._budget.room(period_us, now_us), timely_bytes)
-        record.budget_bytes = min(earned_bytes, room_bytes)
-        observation = Observation(
-            frame=frame,
-            budget_bytes=record.budget_bytes,
-            tiles=tiles,
-            lod_gains_db=self._library.manifest.lod_gains_db,
-            still_errors=self._library.still_errors,
-            outdated_error=self._library.outdated_error,
-            message_overhead_bytes=MESSAGE_OVERHEAD_BYTES,
-            layered=self._tiles.layered,
-            waiting_us=self._budget.waiting_us(now_us),
-            timely_bytes=timely_bytes,
-            alone_bytes=self._budget.alone(earned_bytes, period_us, now_us),
-            frame_bytes=record.estimate_bps * self._schedule.timeline.period_us / 8e6,
-        )
-        decision = self._policy.decide(observation)
-        lacking = lacking_bytes(observation)
-        coming_bytes = self._budget.outstanding_bytes + lacking
-        self._worth.observe(coming_bytes, record.estimate_bps, self._schedule.timeline.period_us)
-        self._decided_us = now_us
-        if not passing:
-            self._held_is_good |= not lacking
-            found = supply(observation, decision)
-            self._newest = None if found is Supply.COMPLETE else record
-            if self._reserve_is_full(record):
-                self._schedule.reserve.hold()
-            else:
-                self._schedule.reserve.planned(found, period_us=period_us)
-        record.tile_bytes += decision.bytes
-        self._budget.close(earned_bytes - decision.bytes, now_us)
-        record.visible_tiles, record.upgrades = len(visible), len(decision.upgrades)
-        return decision
-
     # ------------------------------------------------------------------------------------------------------ messages
 
     def outdated(self, outgoing: ev.Outgoing, now_us: int) -> bool:
@@ -757,7 +586,7 @@ class Streamer:
         """
         message, deadline_us = outgoing.message, outgoing.deadline_us
         if isinstance(message, FrameEnd):
-            return self._ends.has(message.frame, self._late_until_us(now_us))
+            return self._dispatch.ends.has(message.frame, self._late_until_us(now_us))
         if not isinstance(message, TileLayers) or deadline_us is None:
             return False
         return now_us >= deadline_us - int(self._settings.tile_deadline_ms * 1000)
@@ -781,12 +610,12 @@ class Streamer:
         every frame, an older frame with its difference is better than a newer one without its splats.
         """
         if self._coder.kind is ReferenceKind.DIFFERENCE and not self._sends_anew:
-            return self._ends.any_until(self._schedule.timeline.display_us(self._schedule.next_tick))
-        return self._ends.any_until(self._viewer.clock.to_client(now_us))
+            return self._dispatch.ends.any_until(self._schedule.timeline.display_us(self._schedule.next_tick))
+        return self._dispatch.ends.any_until(self._viewer.clock.to_client(now_us))
 
     def take_late_ends(self, now_us: int) -> list[ev.Outgoing]:
         """Frame ends that would be late where they wait, to queue again ahead of all else."""
-        return self._counted(self._ends.again(), now_us)
+        return self._dispatch.queue_again(now_us)
 
     def _display_us(self, deadline_us: int) -> int:
         """Display time of the frame of a reference that is useful until ``deadline_us``; both by the server's clock."""
@@ -795,17 +624,3 @@ class Streamer:
     def _reference_deadline_us(self, display_us: int) -> int:
         """A late reference is still useful for the frames after its own."""
         return self._viewer.clock.to_server(display_us) + int(self._settings.reference_deadline_ms * 1000)
-
-    def _counted(self, outgoing: list[ev.Outgoing], now_us: int) -> list[ev.Outgoing]:
-        for each in outgoing:
-            size = len(each.payload)
-            self._budget.planned(each, now_us)
-            if isinstance(each.message, TileLayers):
-                self.stats.bytes_tiles += size
-            elif isinstance(each.message, ReferenceFrame):
-                self.stats.bytes_reference += size
-            else:
-                self.stats.bytes_other += size
-            if isinstance(each.message, FrameEnd):
-                self._arrivals.sent(each.message.frame)
-        return outgoing

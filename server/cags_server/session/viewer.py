@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cags_common.geometry import Intrinsics
+from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_protocol.wire.messages import Hello, PoseSample
 from cags_server.fov import FovObservation, FovOptions, create_fov_policy
 from cags_server.predict import PoseDistribution, PoseHistory, create_predictor
@@ -24,7 +24,7 @@ class Viewer:
 
     def __init__(self, settings: ServerSettings, hello: Hello) -> None:
         self.clock = ClientClock()
-        self._first, self._intrinsics = hello.pose, hello.intrinsics
+        self._first, self._intrinsics, self._near = hello.pose, hello.intrinsics, hello.near
         self._predictor = create_predictor(settings.predictor)
         self._fov = create_fov_policy(settings.fov, fov_options(settings))
         self._history = PoseHistory()
@@ -34,6 +34,10 @@ class Viewer:
     def intrinsics(self) -> Intrinsics:
         """Intrinsics of the viewer's display."""
         return self._intrinsics
+
+    def camera(self, pose: Pose) -> Camera:
+        """The viewer's own camera at ``pose``."""
+        return Camera(self._intrinsics, pose, self._near)
 
     def observe(self, samples: tuple[PoseSample, ...], arrival_us: int) -> None:
         """Poses arrived, oldest first, at ``arrival_us`` of the server's clock."""

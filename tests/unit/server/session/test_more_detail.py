@@ -54,4 +54,4 @@ def test_what_nobody_has_seen_is_not_due_again_and_again() -> None:
 def test_a_control_ends_it() -> None:
     rig, _ = after_a_fall_of_the_lead(1e5)
     rig.control("seek", 6, at_us=10_000_000)
-    assert rig.streamer._newest is None
+    assert rig.streamer._planner.detail_due_us() is None

@@ -15,7 +15,7 @@ from cags_common.splats import Ids
 from cags_protocol import events as ev
 from cags_protocol.wire.messages import FrameEnd, ReferenceFrame, TileLayers
 from cags_server.ratecontrol.outlook import Supply
-from cags_server.session import streamer
+from cags_server.session import tile_planner
 from cags_server.session.reserve import Reserve
 from support.server_scene import SETTINGS, FakeReader, hello, library
 from support.streamer_rig import OFFSET_US, Rig, of
@@ -126,7 +126,7 @@ def test_what_comes_into_view_is_sent_for_frames_that_were_planned_already() -> 
 
 def test_it_is_bounded_by_the_splats_that_a_client_would_hold(monkeypatch: pytest.MonkeyPatch) -> None:
     """One splat of the wall changes in every frame."""
-    monkeypatch.setattr(streamer, "RESERVED_SPLATS", 8)
+    monkeypatch.setattr(tile_planner, "RESERVED_SPLATS", 8)
     rig = Rig(RESERVED, frames=60, gof=60)
     rig.play()
     leads = []
