@@ -59,6 +59,9 @@ class NetworkSettings:
     delay_ms: float = setting(10.0, "one-way propagation delay, ms", low=0, high=1000)
     seconds: float = setting(20.0, "virtual seconds per case of the sending and cross parts", low=5, high=3600)
     seeds: int = setting(5, "plays per cross case; results are means with 95 % intervals", low=1, high=1000)
+    starts: int = setting(
+        5, "plays per content case with an incident, half a second apart around its start_s", low=1, high=1000
+    )
     clients: int = setting(16, "headless clients at one server", low=1, high=1000)
     clients_mbps: float = setting(3.0, "link of each headless client, Mbps; 0: unlimited", low=0, high=1e4)
     sessions: int = setting(1000, "sessions of the crowd", low=1, high=100_000)
@@ -136,7 +139,9 @@ def _plays(settings: NetworkSettings, parts: list[str]) -> Iterator[dict[str, An
     if "content" in parts:
         traces = settings.traces.split(",") if settings.traces else [SLOW[-1], *CLIPS]
         policies = settings.policies.split(",")
-        yield from content_lines(traces, policies, base, like_splats=settings.like_splats, workers=workers)
+        yield from content_lines(
+            traces, policies, base, like_splats=settings.like_splats, workers=workers, starts=settings.starts
+        )
     if "realtime" in parts:
         yield from realtime_lines(base, settings.like_splats)
     if "clients" in parts:

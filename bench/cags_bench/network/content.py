@@ -1,15 +1,20 @@
-"""Plays a scene over every trace under every rate policy, in virtual time, and scores every third frame."""
+"""Plays a scene over every trace under every rate policy, in virtual time, and scores every third frame.
+
+What a fall of the link does depends on what was on its way at that moment. A trace with an incident is therefore played
+from several starts around it, each with another walk.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cags_bench.confidence import interval
 from cags_bench.parallel import in_parallel
 from cags_bench.sim.session import Scenario, SessionResult, simulate
 from cags_bench.traces import link_share, scaled_trace, splats_of
@@ -36,6 +41,14 @@ SPARE_S = 30.0
 STEADY_S = 3.0
 """Length of plays on steady links, where nothing changes."""
 
+APART_S = 0.5
+"""Seconds between the starts of plays over one incident."""
+
+START = ":start_s="
+
+SUMS = ("frames", "frames_missed", "freezes", "frozen_ms", "black_frames", "wasted_bytes")
+"""Figures that are added up over plays. ``recovery_ms`` is the longest; of the others the mean counts."""
+
 
 @dataclass(frozen=True)
 class Play:
@@ -45,6 +58,8 @@ class Play:
     policy: str
     share: float
     base: Scenario
+    number: int = 0
+    """Of the plays over this trace; each has another walk."""
 
     def scenario(self) -> Scenario:
         """The complete scenario."""
@@ -52,31 +67,71 @@ class Play:
         clip_s = reader.manifest.frames / reader.manifest.fps
         reader.close()
         steady = self.trace.startswith("generated:steady-")
+        poses = self.base.poses
+        if self.number and poses.startswith("synthetic:") and ":seed=" not in poses:
+            poses = f"{poses}:seed={self.number}"
         return replace(
             self.base,
+            poses=poses,
             trace=str(scaled_trace(self.trace, self.share, seconds=clip_s + SPARE_S)),
             server=replace(self.base.server, abr=self.policy),
             client=replace(self.base.client, duration=min(STEADY_S, clip_s) if steady else None),
         )
 
-    def line(self) -> dict[str, Any]:
+    def figures(self) -> dict[str, Any]:
         """Play the scenario and return its figures."""
         scenario = self.scenario()
-        figures = judge(simulate(scenario), open_trace(scenario.trace))
-        return {"case": "content", "trace": self.trace, "share": self.share, "policy": self.policy, **figures}
+        return judge(simulate(scenario), open_trace(scenario.trace))
 
 
 def content_lines(
-    traces: list[str], policies: list[str], base: Scenario, *, like_splats: int, workers: int
+    traces: list[str], policies: list[str], base: Scenario, *, like_splats: int, workers: int, starts: int = 1
 ) -> Iterator[dict[str, Any]]:
-    """One line per trace and policy.
+    """One line per trace and policy, over the plays of that trace (:func:`around`).
 
     Rates are scaled so that the scene gets as many bits per splat and second as a scene of ``like_splats`` splats over
     the original trace; 0: no scaling.
     """
     share = link_share(base.bundle, like_splats)
-    plays = [Play(trace, policy, share, base) for trace in traces for policy in policies]
-    yield from in_parallel(Play.line, plays, workers)
+    groups = [
+        (trace, policy, [Play(spec, policy, share, base, number) for number, spec in enumerate(around(trace, starts))])
+        for trace in traces
+        for policy in policies
+    ]
+    found = in_parallel(Play.figures, [play for _, _, plays in groups for play in plays], workers)
+    for trace, policy, plays in groups:
+        figures = together(list(islice(found, len(plays))))
+        yield {"case": "content", "trace": trace, "share": share, "policy": policy, **figures}
+
+
+def around(trace: str, starts: int) -> list[str]:
+    """``trace``, if it begins shortly before an incident (``:start_s=``), with so many ``starts`` around that one;
+    otherwise alone.
+    """
+    name, separator, start = trace.partition(START)
+    if not separator:
+        return [trace]
+    first_s = float(start) - APART_S * (starts - 1) / 2
+    return [f"{name}{START}{max(first_s + APART_S * number, 0.0):g}" for number in range(starts)]
+
+
+def together(plays: list[dict[str, Any]]) -> dict[str, Any]:
+    """The figures of several plays as those of one, with the PSNR of each and 95 % intervals over plays."""
+    out: dict[str, Any] = {"plays": len(plays)}
+    for name in plays[0]:
+        values = [play[name] for play in plays if play[name] is not None]
+        if not values:
+            out[name] = None
+        elif name in SUMS:
+            out[name] = sum(values)
+        else:
+            out[name] = max(values) if name == "recovery_ms" else float(np.mean(values))
+    if len(plays) > 1:
+        for name in ("psnr_db", "missed_share"):
+            spread = interval([play[name] for play in plays])
+            out[f"{name}_95"] = [spread.low, spread.high]
+    out["psnr_db_by_play"] = [play["psnr_db"] for play in plays]
+    return out
 
 
 def first_picture_lines(base: Scenario, traces: tuple[str, ...]) -> Iterator[dict[str, Any]]:

@@ -11,7 +11,7 @@ from cags_bench.network import clients
 from cags_bench.network.checks import checks
 from cags_bench.network.clients import margins_us, missed
 from cags_bench.network.command import NetworkSettings
-from cags_bench.network.content import black_frames, freezes, outage_ends, recovery_ms
+from cags_bench.network.content import around, black_frames, freezes, outage_ends, recovery_ms, together
 from cags_bench.network.crowd import crowd_line
 from cags_bench.network.load import run_load
 from cags_bench.network.plot import plot_session
@@ -74,7 +74,13 @@ def test_checks_name_target_and_value():
     (found, *_) = checks([{"case": "crowd", "seconds": 200.0, "silent_sessions": 0}])
     assert (found["ok"], found["value"], found["target"]) == (False, 200.0, "<= 120")
     lines = [
-        {"case": "content", "trace": "generated:steady-30", "policy": policy, "psnr_db": db, "black_frames": 0}
+        {
+            "case": "content",
+            "trace": "generated:steady-30",
+            "policy": policy,
+            "psnr_db_by_play": [db],
+            "black_frames": 0,
+        }
         | {"recovery_ms": None, "first_picture_ms": 300.0}
         for policy, db in (("paper", 30.0), ("utility", 30.6))
     ]
@@ -86,12 +92,12 @@ def test_checks_name_target_and_value():
 def test_a_policy_that_loses_anywhere_is_seen(gain, ok):
     lines = [
         {"case": "content", "trace": trace, "policy": policy, "black_frames": 0, "recovery_ms": None}
-        | {"psnr_db": 30.0 + (gain if policy == "utility" and trace == "b" else 0.0)}
+        | {"psnr_db_by_play": [30.0 + db + (gain if policy == "utility" and trace == "b" else 0.0) for db in (-4, 4)]}
         for trace in ("a", "b")
         for policy in ("paper", "utility")
     ]
     (worst,) = [c for c in checks(lines) if "at worst" in c["name"]]
-    assert worst["value"] == pytest.approx(gain)
+    assert worst["value"] == f"{gain:+.2f} [{gain:+.2f}, {gain:+.2f}] on b", "paired by play"
     assert worst["ok"] is ok
 
 
@@ -100,7 +106,7 @@ def test_content_checks_judge_the_worst_trace():
         "case": "content",
         "trace": "a",
         "policy": "paper",
-        "psnr_db": 30.0,
+        "psnr_db_by_play": [30.0],
         "black_frames": 0,
         "recovery_ms": 900.0,
     }
@@ -110,6 +116,38 @@ def test_content_checks_judge_the_worst_trace():
         1100,
         False,
     )
+
+
+@pytest.mark.parametrize(("share", "ok"), [(0.11, False), (0.10, True)])
+def test_missed_frames_of_falling_links_have_a_limit(share, ok):
+    line = {"case": "content", "psnr_db_by_play": [30.0], "black_frames": 0, "recovery_ms": None}
+    falls = line | {"trace": "generated:lte-driving:start_s=10", "policy": "utility", "missed_share": share}
+    steady = falls | {"trace": "generated:steady-10", "missed_share": 1.0}
+    (found,) = [c for c in checks([falls, steady, falls | {"policy": "paper"}]) if "missed" in c["name"]]
+    assert (found["name"], found["ok"]) == ("share of frames missed with utility on lte-driving", ok)
+
+
+def test_incidents_are_played_from_several_starts_around_them():
+    assert around("generated:step:start_s=12", 5) == [
+        f"generated:step:start_s={start}" for start in ("11", "11.5", "12", "12.5", "13")
+    ]
+    assert around("generated:step:start_s=0", 3) == [f"generated:step:start_s={start}" for start in ("0", "0", "0.5")]
+    assert around("generated:steady-30", 5) == ["generated:steady-30"]
+
+
+def test_plays_are_told_as_one_with_the_spread():
+    play = {"frames": 10, "frames_missed": 1, "missed_share": 0.1, "psnr_db": 40.0, "recovery_ms": None}
+    other = play | {"frames_missed": 3, "missed_share": 0.3, "psnr_db": 44.0, "recovery_ms": 200.0}
+    found = together([play, other, play | {"recovery_ms": 500.0, "psnr_db": 42.0}])
+    assert (found["plays"], found["frames"], found["frames_missed"], found["recovery_ms"]) == (3, 30, 5, 500.0)
+    assert found["psnr_db"] == pytest.approx(42.0)
+    assert found["missed_share"] == pytest.approx(0.5 / 3)
+    assert found["psnr_db_by_play"] == [40.0, 44.0, 42.0]
+    low, high = found["psnr_db_95"]
+    assert low < 40 and high > 44, "three plays say little"
+    single = together([play])
+    assert (single["psnr_db"], single["recovery_ms"]) == (40.0, None)
+    assert "psnr_db_95" not in single
 
 
 def test_first_pictures_have_a_limit_by_link():
