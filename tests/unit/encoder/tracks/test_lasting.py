@@ -9,7 +9,7 @@ import pytest
 
 from cags_common.bundle import SourceDelta
 from cags_common.splats import SH_C0, Splats
-from cags_encoder.tracks.lasting import FASTER, ROUNDED_DB, USUAL_DB, ease_of, lasting
+from cags_encoder.tracks.lasting import ALONE, FASTER, ROUNDED_DB, USUAL_DB, ease_of, lasting
 from cags_encoder.tracks.placing import Placed
 
 N, MOST = 6, 0.01
@@ -65,6 +65,21 @@ def test_what_changes_fast_is_told_more_exactly_the_better_the_looks_are() -> No
     assert wrong[0] > wrong[1] > wrong[2] > wrong[3] == wrong[4] >= MOST
     unmeasured = lasting(splats(grey(0)), np.arange(N), fast, MOST, ease_of(None)).wrong["sh0"][0]
     assert unmeasured == wrong[1]
+
+
+def test_sizes_that_change_alone_may_be_further_off_than_those_that_change_together() -> None:
+    random = np.random.default_rng(3)
+    alone = random.normal(size=(N, 3))
+    wrong = {}
+    for name, step in {"together": np.ones((N, 3)), "alone": alone, "one": np.eye(N)[:, :1] * np.ones(3)}.items():
+        later = frames([splats(grey(0), log_scales=MOST * step)])
+        told = lasting(splats(grey(0)), np.arange(N), later, MOST)
+        wrong[name] = told.wrong["log_scales"]
+        assert np.all(told.wrong["sh0"] == MOST), "colours count as before"
+    assert np.allclose(wrong["together"], MOST)
+    assert np.all((wrong["alone"] > MOST) & (wrong["alone"] <= MOST / ALONE * FASTER))
+    assert wrong["one"][0] == pytest.approx(MOST / ALONE)
+    assert np.allclose(wrong["one"][1:], MOST), "what does not change keeps its tolerance"
 
 
 def test_noise_is_told_as_its_mean() -> None:
