@@ -19,6 +19,7 @@ from cags_protocol.events import Closed
 from cags_protocol.sessions.blobs import blob_chunks
 from cags_protocol.wire import messages as m
 from cags_protocol.wire.encoding import encode
+from cags_protocol.wire.limits import PROTOCOL_VERSION
 from support.node import run_tests
 from support.wire_pair import INTRINSICS, Deliveries, Pair, reference, tile
 
@@ -193,7 +194,7 @@ def test_transcripts_of_sessions_over_good_and_bad_networks(first: int, tmp_path
 
 def test_transcripts_of_handshakes(tmp_path: Path) -> None:
     transcripts = []
-    hello = m.Hello(3, INTRINSICS, Pose.identity())
+    hello = m.Hello(PROTOCOL_VERSION, INTRINSICS, Pose.identity())
     for data in (
         encode(m.Refusal("full", "", "no room")),
         encode(m.Ping(2**60)),

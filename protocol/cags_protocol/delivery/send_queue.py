@@ -16,8 +16,8 @@ from cags_protocol.wire import limits
 from cags_protocol.wire.encoding import encode, encode_parts
 from cags_protocol.wire.messages import Fragment, Mark, ReferenceFrame
 
-FRAGMENT_HEADER_BYTES = 96
-"""Room left in a packet for the header of a :class:`Fragment`; its fields at their widest take 91 bytes."""
+FRAGMENT_HEADER_BYTES = 48
+"""Room left in a packet for the header of a :class:`Fragment`; its fields at their widest take 41 bytes."""
 
 CHUNK_BYTES = limits.PACKET_BYTES - FRAGMENT_HEADER_BYTES
 """Largest number of bytes of a message in one packet."""

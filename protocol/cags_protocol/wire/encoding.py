@@ -1,7 +1,8 @@
 """The strict encoding of messages: bytes to checked dataclasses and back.
 
 Lengths are bounded before anything of that size is allocated, values are checked in both directions, and the header's
-last entry is the CRC-32 of everything else; see ``docs/wire.md``.
+last entry is the CRC-32 of everything else; see ``docs/wire.md``. Headers are read in either form, with text keys or
+with numbers; which one is written depends on the message.
 """
 
 from __future__ import annotations
@@ -43,7 +44,13 @@ def _spec(cls: Any) -> _Spec:
 
 _SPECS = {cls: _spec(cls) for cls in {*CLIENT_MESSAGES, *SERVER_MESSAGES}}
 _BY_TAG = {cls.TAG: spec for cls, spec in _SPECS.items()}
-_CRC_MARK = b"\xa3crc\xce"
+_BY_CODE = {cls.CODE: spec for cls, spec in _SPECS.items() if cls.CODE is not None}
+_TYPE, _CRC = 0, 127
+"""Keys of the type and of the CRC in headers with numbers."""
+_TEXT_MARK, _NUMBER_MARK = b"\xa3crc\xce", b"\x7f\xce"
+"""What stands before the CRC: its key, and the head of a uint32."""
+
+Header = dict[str | int, Any]
 
 
 class DamagedError(ProtocolError):
@@ -76,12 +83,14 @@ def encode_parts(message: Message, payload: Buffer = b"") -> tuple[bytes, Buffer
         raise ProtocolError(f"{spec.cls.TAG} carries no separate payload")
     elif kind != NO_PAYLOAD:
         payload = getattr(message, kind)
-    header: dict[str, Any] = {"type": spec.cls.TAG}
-    for name, field_kind, default in spec.fields:
+    code = spec.cls.CODE
+    header: Header = {"type": spec.cls.TAG} if code is None else {_TYPE: code}
+    for number, (name, field_kind, default) in enumerate(spec.fields, start=1):
         value = getattr(message, name)
         if default is dataclasses.MISSING or value != default:
-            header[name] = field_kind.pack(value, name)
-    header["crc"] = 0xFFFFFFFF  # the widest integer form; its value is written below, over these four bytes
+            header[name if code is None else number] = field_kind.pack(value, name)
+    # The widest integer form; the value is written below, over these four bytes.
+    header["crc" if code is None else _CRC] = 0xFFFFFFFF
     head = msgpack.packb(header)[:-4]
     if len(head) + 4 > limits.MAX_HEADER_BYTES:
         raise ProtocolError(f"{spec.cls.TAG}: header of {len(head) + 4} bytes, at most {limits.MAX_HEADER_BYTES}")
@@ -97,14 +106,12 @@ def decode(data: Buffer) -> tuple[Message, memoryview]:
     view = memoryview(data)
     header, end = _header(view)
     payload = view[end:]
-    if bytes(view[max(end - 9, 0) : end - 4]) != _CRC_MARK:
+    mark = _NUMBER_MARK if _TYPE in header else _TEXT_MARK
+    if bytes(view[max(end - 4 - len(mark), 0) : end - 4]) != mark:
         raise DamagedError("header does not end with its crc")
     if zlib.crc32(payload, zlib.crc32(view[: end - 4])) != int.from_bytes(view[end - 4 : end], "big"):
         raise DamagedError("crc does not match: the message was damaged on its way")
-    tag = header.get("type")
-    spec = _BY_TAG.get(tag) if type(tag) is str else None
-    if spec is None:
-        raise ProtocolError(f"type = {tag!r:.60} is not a known message")
+    spec = _spec_of(header)
     if spec.cls is Hello:
         _check_version(header)
     message = _build(spec, header, payload)
@@ -114,14 +121,28 @@ def decode(data: Buffer) -> tuple[Message, memoryview]:
     return message, payload[:0]
 
 
+def _spec_of(header: Header) -> _Spec:
+    if _TYPE in header:
+        found = header[_TYPE]
+        spec = _BY_CODE.get(found) if type(found) is int else None
+    else:
+        found = header.get("type")
+        spec = _BY_TAG.get(found) if type(found) is str else None
+    if spec is None:
+        raise ProtocolError(f"type = {found!r:.60} is not a known message")
+    return spec
+
+
 def printable(text: str) -> str:
     """``text`` made valid for a text field: control characters replaced, truncated."""
     clean = "".join(c if c.isprintable() else "?" for c in text)
     return clean.encode()[: limits.MAX_TEXT_BYTES].decode(errors="ignore")
 
 
-def _header(view: memoryview) -> tuple[dict[str, Any], int]:
+def _header(view: memoryview) -> tuple[Header, int]:
     unpacker = msgpack.Unpacker(
+        object_pairs_hook=_map,
+        strict_map_key=False,  # `_map` is stricter
         max_buffer_size=limits.MAX_HEADER_BYTES,
         max_str_len=limits.MAX_TEXT_BYTES,
         max_bin_len=limits.MAX_HEADER_BYTES,
@@ -139,17 +160,26 @@ def _header(view: memoryview) -> tuple[dict[str, Any], int]:
     return header, unpacker.tell()
 
 
-def _check_version(header: dict[str, Any]) -> None:
+def _map(pairs: list[tuple[Any, Any]]) -> dict[Any, Any]:
+    """A map of text, bytes and integers. Python takes other keys, of which some equal integers."""
+    if any(type(key) not in (str, int, bytes) for key, _ in pairs):
+        raise ValueError("a key is neither text nor bytes nor an integer")
+    return dict(pairs)
+
+
+def _check_version(header: Header) -> None:
     version = header.get("version")
     if type(version) is int and version not in limits.SUPPORTED_VERSIONS:
         raise VersionError(version)
 
 
-def _build(spec: _Spec, header: dict[str, Any], payload: memoryview) -> Message:
+def _build(spec: _Spec, header: Header, payload: memoryview) -> Message:
     values: dict[str, Any] = {}
-    for name, kind, default in spec.fields:
-        if name in header:
-            values[name] = kind.unpack(header[name], name)
+    numbered = _TYPE in header
+    for number, (name, kind, default) in enumerate(spec.fields, start=1):
+        key = number if numbered else name
+        if key in header:
+            values[name] = kind.unpack(header[key], name)
         elif default is dataclasses.MISSING:
             raise ProtocolError(f"{spec.cls.TAG}: {name} is missing")
     if spec.cls.PAYLOAD == NO_PAYLOAD and len(payload):
@@ -163,9 +193,9 @@ def _check_payload(message: Message, size: int) -> None:
     """Check that the lengths in a header add up to the payload's."""
     if isinstance(message, TileLayers):
         count = message.to_lod - message.from_lod
-        if count < 1 or len(message.sizes) != count or len(message.crcs) != count:
+        if count < 1 or len(message.sizes) != count or len(message.crcs) not in (0, count):
             raise ProtocolError(
-                f"tile: LoDs {message.from_lod}..{message.to_lod} need {max(count, 1)} sizes and crcs, "
+                f"tile: LoDs {message.from_lod}..{message.to_lod} need {max(count, 1)} sizes and as many crcs or none, "
                 f"got {len(message.sizes)} and {len(message.crcs)}"
             )
         if sum(message.sizes) != size:

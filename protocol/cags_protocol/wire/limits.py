@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-PROTOCOL_VERSION = 3
+PROTOCOL_VERSION = 4
 """Version spoken by this package. A change that an older peer cannot ignore raises it."""
 
-SUPPORTED_VERSIONS = (3,)
+SUPPORTED_VERSIONS = (4,)
 """Versions that this package can talk to."""
 
 SUBPROTOCOL = "cags.v1"

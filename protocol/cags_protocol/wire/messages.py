@@ -1,8 +1,9 @@
 """The messages of the wire protocol; :mod:`cags_protocol.wire.encoding` turns them into bytes and back.
 
-One message is a MessagePack map (the header, with the key ``type``) followed by the payload's bytes. The header's last
-entry is ``crc``: the CRC-32 of everything else, header and payload, because a flipped byte makes Draco decode wrongly
-without an error. Unknown header entries are ignored, unknown types refused; see ``docs/wire.md``.
+One message is a MessagePack map (the header) followed by the payload's bytes. The header's first entry is the type, its
+last one the CRC-32 of everything else, header and payload, because a flipped byte makes Draco decode wrongly without
+an error. Rare messages have text keys; those that go in every frame have numbers, which leaves thin links more room.
+Unknown header entries are ignored, unknown types refused; see ``docs/wire.md``.
 
 Times named ``_us`` are microseconds of the client's clock unless a docstring says otherwise.
 """
@@ -36,7 +37,8 @@ NO_PAYLOAD, OPAQUE = "", "*"
 
 
 class Message:
-    """Base of all messages. ``TAG`` is the header's ``type``.
+    """Base of all messages. ``TAG`` is the header's ``type``. With a ``CODE`` the type is that number, and a field's
+    key is its place among the fields, from 1: new fields go last.
 
     ``PAYLOAD`` is ``NO_PAYLOAD``, ``OPAQUE`` (given to :func:`encode` and returned by :func:`decode` beside the
     message) or the name of the bytes field that travels as the payload.
@@ -44,6 +46,7 @@ class Message:
 
     __slots__ = ()
     TAG: ClassVar[str]
+    CODE: ClassVar[int | None] = None
     PAYLOAD: ClassVar[str] = NO_PAYLOAD
 
 
@@ -112,6 +115,7 @@ class PoseBatch(Message):
     """
 
     TAG = "poses"
+    CODE = 8
     samples: tuple[PoseSample, ...] = wire(ListOf(_SAMPLE, limits.MAX_POSE_SAMPLES))
     cadence_permille: int = wire(_CADENCE, EVERY_FRAME)
 
@@ -125,6 +129,7 @@ class Ack(Message):
     """
 
     TAG = "ack"
+    CODE = 7
     ranges: tuple[SeqRange, ...] = wire(ListOf(_RANGE, limits.MAX_ACK_RANGES))
     received_us: int = wire(_TIME)
     delay_us: int = wire(_TIME, 0)
@@ -223,17 +228,18 @@ class TileLayers(Message):
     """LoDs ``from_lod`` .. ``to_lod`` - 1 of a tile: the payload is their payloads, one after another.
 
     A tile brings looks, motion or updates (:mod:`cags_common.tiles.kinds`); the first byte of its LoD 0 says which.
-    ``sizes`` and ``crcs`` (CRC-32, as in the bundle) have one entry each a LoD.
+    ``sizes`` has one entry a LoD; so has ``crcs`` (CRC-32, as in the bundle) in messages of versions before 4, or none.
     """
 
     TAG = "tile"
+    CODE = 2
     PAYLOAD = OPAQUE
     frame: int = wire(_FRAME)
     tile: int = wire(_TILE)
     from_lod: int = wire(_LOD)
     to_lod: int = wire(_LOD)
     sizes: tuple[int, ...] = wire(ListOf(Integer(limits.MAX_MESSAGE_BYTES), MAX_LODS))
-    crcs: tuple[int, ...] = wire(ListOf(_CRC, MAX_LODS))
+    crcs: tuple[int, ...] = wire(ListOf(_CRC, MAX_LODS), ())
 
     def split(self, payload: Buffer) -> list[memoryview]:
         """The payload of each LoD, without copying."""
@@ -266,6 +272,7 @@ class ReferenceFrame(Message):
     """
 
     TAG = "reference"
+    CODE = 3
     PAYLOAD = OPAQUE
     frame: int = wire(_FRAME)
     seq: int = wire(_SEQ)
@@ -287,6 +294,7 @@ class Mark(Message):
     """
 
     TAG = "mark"
+    CODE = 4
     number: int = wire(_SEQ)
     restart: bool = wire(Flag(), False)
 
@@ -296,6 +304,7 @@ class FrameEnd(Message):
     """The server plans nothing more for ``frame`` for now. Payload: ids removed at that frame (may be empty)."""
 
     TAG = "frame_end"
+    CODE = 5
     PAYLOAD = OPAQUE
     frame: int = wire(_FRAME)
 
@@ -343,6 +352,7 @@ class Fragment(Message):
     """
 
     TAG = "fragment"
+    CODE = 1
     PAYLOAD = OPAQUE
     seq: int = wire(_SEQ)
     ident: int = wire(_SEQ)
@@ -355,6 +365,7 @@ class Abandon(Message):
     """No more fragments of these messages will come."""
 
     TAG = "abandon"
+    CODE = 6
     idents: tuple[int, ...] = wire(ListOf(_SEQ, limits.MAX_PARTIAL_MESSAGES))
 
 

@@ -17,7 +17,7 @@ from cags_server.records import FrameRecord
 MAX_SAVED_S, MIN_SAVED_BYTES = 0.25, 128 * 1024
 """Largest savings of unused budget, for base layers larger than one frame's budget; more would be a burst."""
 
-MESSAGE_OVERHEAD_BYTES = 160
+MESSAGE_OVERHEAD_BYTES = 105
 """Approximate size of the headers of a tile message and its fragment."""
 
 SMOOTHING = 0.2

@@ -12,7 +12,7 @@ BURST_S = 0.25
 """Seconds of the share that may be spent at once."""
 
 
-REFERENCE_OVERHEAD_BYTES = 400
+REFERENCE_OVERHEAD_BYTES = 320
 """Approximate size of the headers of a reference, of its mark, and of the packets of both."""
 
 

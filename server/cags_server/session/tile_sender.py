@@ -202,7 +202,7 @@ class TileSender:
         reader, (first, end) = self._library.reader, lods
         entry = reader.frame(key[0]).tiles[key[1]]
         payload = b"".join(reader.payload(*key, lod) for lod in range(first, end))
-        message = TileLayers(*key, first, end, entry.lod_bytes[first:end], entry.crcs[first:end])
+        message = TileLayers(*key, first, end, entry.lod_bytes[first:end])
         self.inventory.queued(message)
         if self._brings_version(message):
             self.age.sent(message.frame, message.tile)

@@ -1,7 +1,7 @@
 /** Bounds of the wire protocol, as `cags_protocol.wire.limits`: each is checked before anything of that size is allocated. */
 
-export const PROTOCOL_VERSION = 3;
-export const SUPPORTED_VERSIONS: readonly number[] = [3];
+export const PROTOCOL_VERSION = 4;
+export const SUPPORTED_VERSIONS: readonly number[] = [4];
 export const SUBPROTOCOL = "cags.v1";
 export const MAX_HEADER_BYTES = 64 * 1024;
 export const MAX_MESSAGE_BYTES = 16 * 1024 * 1024;

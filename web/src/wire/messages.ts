@@ -106,6 +106,7 @@ export interface TileLayers {
   readonly from_lod: number;
   readonly to_lod: number;
   readonly sizes: readonly number[];
+  /** Of messages of versions before 4. */
   readonly crcs: readonly number[];
 }
 
@@ -175,6 +176,8 @@ export interface Field {
 /** `none`; `opaque`: beside the message; else the name of the bytes field that travels as the payload. */
 export interface Spec {
   readonly payload: "none" | "opaque" | "inventory" | "info";
+  /** The type in headers with numbers for keys, which messages of every frame have; a field's key is its place, from 1. */
+  readonly code?: number;
   readonly fields: readonly Field[];
 }
 
@@ -216,6 +219,7 @@ export const SPECS: { readonly [T in Tag]: Spec } = {
     ],
   },
   poses: {
+    code: 8,
     payload: "none",
     fields: [
       field("samples", listOf(SAMPLE, limits.MAX_POSE_SAMPLES)),
@@ -223,6 +227,7 @@ export const SPECS: { readonly [T in Tag]: Spec } = {
     ],
   },
   ack: {
+    code: 7,
     payload: "none",
     fields: [
       field("ranges", listOf(RANGE, limits.MAX_ACK_RANGES)),
@@ -258,6 +263,7 @@ export const SPECS: { readonly [T in Tag]: Spec } = {
   },
   blob: { payload: "opaque", fields: [field("name", TEXT), field("offset", BLOB_BYTES), field("total", BLOB_BYTES)] },
   tile: {
+    code: 2,
     payload: "opaque",
     fields: [
       field("frame", FRAME),
@@ -265,10 +271,11 @@ export const SPECS: { readonly [T in Tag]: Spec } = {
       field("from_lod", LOD),
       field("to_lod", LOD),
       field("sizes", listOf(MESSAGE_BYTES, limits.MAX_LODS)),
-      field("crcs", listOf(CRC, limits.MAX_LODS)),
+      field("crcs", listOf(CRC, limits.MAX_LODS), []),
     ],
   },
   reference: {
+    code: 3,
     payload: "opaque",
     fields: [
       field("frame", FRAME),
@@ -282,11 +289,12 @@ export const SPECS: { readonly [T in Tag]: Spec } = {
       field("error", real(0, 1), 0),
     ],
   },
-  mark: { payload: "none", fields: [field("number", SEQ), field("restart", flag, false)] },
-  frame_end: { payload: "opaque", fields: [field("frame", FRAME)] },
+  mark: { code: 4, payload: "none", fields: [field("number", SEQ), field("restart", flag, false)] },
+  frame_end: { code: 5, payload: "opaque", fields: [field("frame", FRAME)] },
   notice: { payload: "none", fields: [field("code", TEXT), field("message", TEXT)] },
   refusal: { payload: "none", fields: [field("code", TEXT), field("field", TEXT), field("message", TEXT)] },
   fragment: {
+    code: 1,
     payload: "opaque",
     fields: [
       field("seq", SEQ),
@@ -295,5 +303,5 @@ export const SPECS: { readonly [T in Tag]: Spec } = {
       field("total", MESSAGE_BYTES, 0),
     ],
   },
-  abandon: { payload: "none", fields: [field("idents", listOf(SEQ, limits.MAX_PARTIAL_MESSAGES))] },
+  abandon: { code: 6, payload: "none", fields: [field("idents", listOf(SEQ, limits.MAX_PARTIAL_MESSAGES))] },
 };

@@ -12,7 +12,8 @@ export class Float {
   }
 }
 
-export type Raw = null | boolean | string | number | bigint | Float | Uint8Array | Raw[] | Map<string, Raw>;
+export type Raw = null | boolean | string | number | bigint | Float | Uint8Array | Raw[] | RawMap;
+export type RawMap = Map<string | number, Raw>;
 
 /** Bounds of what is read. */
 export interface Bounds {
@@ -129,15 +130,16 @@ class Reader {
     return out;
   }
 
-  private map(size: number, depth: number): Map<string, Raw> {
+  private map(size: number, depth: number): RawMap {
     if (size > this.bounds.map) fail("a map is too long");
     if (size && depth >= MAX_DEPTH) fail("too deep");
-    const out = new Map<string, Raw>();
+    const out: RawMap = new Map();
     for (let i = 0; i < size; i++) {
       const key = this.value(depth + 1);
-      if (typeof key !== "string" && !(key instanceof Uint8Array)) fail("a key is neither text nor bytes");
+      const named = typeof key === "string" || typeof key === "number";
+      if (!named && typeof key !== "bigint" && !(key instanceof Uint8Array)) fail("a key is neither text nor bytes nor an integer");
       const value = this.value(depth + 1);
-      if (typeof key === "string") out.set(key, value);
+      if (named) out.set(key, value);
     }
     return out;
   }
@@ -179,7 +181,7 @@ class Writer {
     } else {
       this.head(value.size, 0x80, 15, 0xde);
       for (const [key, item] of value) {
-        this.text(key);
+        this.value(key);
         this.value(item);
       }
     }

@@ -43,7 +43,7 @@ EXAMPLES: list[tuple[m.Message, bytes]] = [
 
 
 VIEW = [400, 300, 400.0, 400.0, 200.0, 150.0]
-HELLO = {"type": "hello", "version": 3, "intrinsics": VIEW, "pose": [0, 0, 0, 1, 0, 0, 0]}
+HELLO = {"type": "hello", "version": limits.PROTOCOL_VERSION, "intrinsics": VIEW, "pose": [0, 0, 0, 1, 0, 0, 0]}
 REFERENCE = {"type": "reference", "frame": 0, "seq": 1, "pose": [0, 0, 0, 1, 0, 0, 0], "intrinsics": VIEW}
 
 
@@ -161,7 +161,7 @@ def test_a_header_without_crc_is_refused():
 
 
 def test_a_hello_of_another_version_names_both():
-    with pytest.raises(VersionError, match=r"version = 9 .*speaks 3") as error:
+    with pytest.raises(VersionError, match=rf"version = 9 .*speaks {limits.PROTOCOL_VERSION}") as error:
         decode(pack({"type": "hello", "version": 9, "camera": "holographic"}))
     assert error.value.theirs == 9
 
