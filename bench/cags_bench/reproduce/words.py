@@ -142,20 +142,25 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 
 def full(figures: Path) -> str:
-    """The full-size sessions played so far, from the folder ``full``."""
+    """The full-size sessions played so far, from the folder ``full``: a row a scene and link, a column a method."""
     lines = _lines(figures / "full" / "sessions.jsonl")
-    head = ("scene", "link", "method", "frames", "PSNR, dB (95 %)", "5th percentile", "SSIM", "processor s")
+    methods = list(dict.fromkeys(line["method"] for line in lines))
+    found = {(line["scene"], line["link"], line["method"]): line for line in lines}
     rows = [
-        (
-            *(line[name] for name in ("scene", "link", "method", "frames")),
-            f"{line['PSNR [dB]']:.1f} ({_figure(line['95 % from'])} to {_figure(line['to'])})",
-            f"{line['PSNR, 5th percentile']:.1f}",
-            f"{line['SSIM']:.4f}",
-            f"{line['processor [s]']:.0f}",
-        )
-        for line in lines
+        (scene, link, *(_played(found.get((scene, link, method))) for method in methods))
+        for scene in dict.fromkeys(line["scene"] for line in lines)
+        for link in dict.fromkeys(line["link"] for line in lines)
+        if any((scene, link, method) in found for method in methods)
     ]
-    return _where(lines) + _table(head, rows)
+    return _where(lines) + _table(("scene", "link", *methods), rows)
+
+
+def _played(line: JsonObject | None) -> str:
+    """PSNR of a session with its interval, the 5th percentile, and what it used of the link."""
+    if line is None:
+        return ""
+    mean = f"{line['PSNR [dB]']:.1f} ({_figure(line['95 % from'])} to {_figure(line['to'])})"
+    return f"{mean}, {line['PSNR, 5th percentile']:.1f}, {line['goodput here [Mbps]']:.1f}"
 
 
 def effects(figures: Path) -> str:

@@ -57,13 +57,20 @@ def test_a_lead_stands_with_its_interval_beside_its_scene_and_link(tmp_path) -> 
     assert "| short | 30 Mbps | +6.0 (unknown to unknown) |" in text
 
 
-def test_sessions_of_the_full_size_stand_with_what_they_took(tmp_path) -> None:
+def test_sessions_of_the_full_size_stand_beside_each_other(tmp_path) -> None:
     (tmp_path / "full").mkdir()
-    figures = {"PSNR [dB]": 54.98, "95 % from": 54.7, "to": 55.2, "PSNR, 5th percentile": 54.0, "SSIM": 0.99919}
-    words = {"scene": "head", "link": "30 Mbps", "method": "LTS-F", "frames": 300, "processor [s]": 137.3}
-    lines(tmp_path / "full" / "sessions.jsonl", {**words, **figures})
+    figures = {"PSNR [dB]": 54.98, "95 % from": 54.7, "to": 55.2, "PSNR, 5th percentile": 54.0}
+    ours = {"scene": "head", "link": "30 Mbps", "method": "ours", **figures, "goodput here [Mbps]": 2.26}
+    theirs = {**ours, "method": "LTS-F", "PSNR [dB]": 20.0}
+    later = {**ours, "link": "60 Mbps"}
+    lines(tmp_path / "full" / "sessions.jsonl", ours, theirs, later, {**theirs, "scene": "room"})
     text = renewed("<!-- made: full -->\n<!-- end -->", tmp_path)
-    assert "| head | 30 Mbps | LTS-F | 300 | 55.0 (54.7 to 55.2) | 54.0 | 0.9992 | 137 |" in text
+    assert "| scene | link | ours | LTS-F |" in text
+    cells = "(54.7 to 55.2), 54.0, 2.3"
+    assert f"| head | 30 Mbps | 55.0 {cells} | 20.0 {cells} |" in text
+    assert f"| head | 60 Mbps | 55.0 {cells} |  |" in text, "not played by all"
+    assert f"| room | 30 Mbps |  | 20.0 {cells} |" in text
+    assert "room | 60" not in text
 
 
 @pytest.mark.parametrize(("table", "message"), [("nothing", "is no table"), ("means", "run cags-bench")])
