@@ -140,13 +140,24 @@ def some(rows: NDArray[np.intp]) -> NDArray[np.intp]:
     return chosen
 
 
+def _judged(values: F64, present: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Splats by whose errors accuracy is chosen: all, or those that move where they are less than half. The others have
+    nearly no error, and would hide theirs.
+    """
+    there = present.any(axis=0)
+    moving = (present & (np.abs(values) > LEAST_UNITS).any(axis=2)).any(axis=0)
+    few = 0 < 2 * np.count_nonzero(moving) < np.count_nonzero(there)
+    rows: NDArray[np.intp] = np.flatnonzero(moving if few else there)
+    return rows
+
+
 def exactness(tracks: Trajectories, present: NDArray[np.bool_], tolerance: Tolerance) -> Exactness:
     """The accuracy for ``tracks``, in the tile's units, whose errors are within ``tolerance`` where ``present``.
 
     The base is level 0, or level 1 if it is so exact that a coarser level is worth having.
     """
     largest = float(np.abs(tracks.values).max(where=present[:, :, None], initial=1.0))
-    rows = some(np.flatnonzero(present.any(axis=0)))
+    rows = some(_judged(tracks.values, present))
     judged, present = tracks.take(rows), present[:, rows]
     told, values = judged.samples(), judged.values
     most = int(np.clip(np.log2(MOST_UNITS / largest) - COARSE, 0, MAX_FINER - COARSE))

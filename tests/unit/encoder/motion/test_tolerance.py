@@ -51,6 +51,20 @@ def test_motion_that_nobody_sees_is_told_by_one_level() -> None:
     assert exactness(*waves(40.0), Tolerance(1e3, 1e3, 1e3)).told == 1
 
 
+def test_the_few_that_move_are_not_hidden_by_the_many_that_stand() -> None:
+    """A mobile hung askew in a room of which most stood still: its tile had one level of motion."""
+    few, present = waves(40.0)
+    count, still = few.values.shape[1], 40
+    values = np.zeros((len(few.values), still * count, 3))
+    values[:, ::still] = few.values
+    many = Trajectories(values, scattered(still * count), few.starts, few.turn)
+    tolerance = Tolerance(8.0, 0.5, 0.9)
+    alone = exactness(few, present, tolerance)
+    among = exactness(many, np.ones(values.shape[:2], bool), tolerance)
+    assert alone.told > 1
+    assert (among.told, among.finer) >= (alone.told, alone.finer)
+
+
 def test_dead_zones_are_the_widest_that_the_tolerance_allows() -> None:
     found = [exactness(*waves(40.0), Tolerance(base, 0.5, 0.1)) for base in np.linspace(4.2, 8.0, 12)]
     assert {each.zones[0] for each in found} <= set(BASE_ZONES) and {each.zones[-1] for each in found} <= set(
