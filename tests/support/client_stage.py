@@ -43,8 +43,7 @@ class Stage:
             levels = range(first, min(lods, len(entry.lod_bytes)))
             if levels:
                 parts = [self.reader.payload(frame, entry.tile, lod) for lod in levels]
-                crcs = entry.crcs[levels.start : levels.stop]
-                message = TileLayers(frame, entry.tile, first, levels.stop, tuple(map(len, parts)), crcs)
+                message = TileLayers(frame, entry.tile, first, levels.stop, tuple(map(len, parts)))
                 payload = memoryview(b"".join(parts))
                 assert self.pipe.on_tiles([(message, payload)]) == []
                 self._mirror.add_all([Arrival(frame, entry.tile, first, message.split(payload))])

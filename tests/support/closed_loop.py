@@ -220,7 +220,7 @@ class Sender:
                 continue
             self.sent[key] = held | ((1 << end) - 1) & ~((1 << begin) - 1)
             parts = [self.library.reader.payload(*key, lod) for lod in range(begin, end)]
-            message = TileLayers(*key, begin, end, entry.lod_bytes[begin:end], entry.crcs[begin:end])
+            message = TileLayers(*key, begin, end, entry.lod_bytes[begin:end])
             self.send(message, b"".join(parts))
 
     def send_ends(self, last: int) -> None:

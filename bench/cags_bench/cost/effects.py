@@ -90,7 +90,7 @@ def _fill(pipeline: ClientPipeline, reader: BundleReader, lods: int) -> None:
     for entry in reader.frame(0).tiles:
         levels = min(lods, len(entry.lod_bytes))
         parts = [reader.payload(0, entry.tile, lod) for lod in range(levels)]
-        message = TileLayers(0, entry.tile, 0, levels, tuple(map(len, parts)), entry.crcs[:levels])
+        message = TileLayers(0, entry.tile, 0, levels, tuple(map(len, parts)))
         pipeline.on_tiles([(message, memoryview(b"".join(parts)))])
     pipeline.on_frame_end(FrameEnd(0), memoryview(reader.removed_payload(0)))
 

@@ -11,6 +11,9 @@ from cags_bench.network.cross.experiment import judged as _cross
 
 STEADY = "generated:steady-"
 
+FALLING = ("lte-driving", "step")
+"""Traces on which the share of missed frames has a limit."""
+
 
 def checks(lines: list[JsonObject]) -> list[JsonObject]:
     """A check for every target that these lines allow."""
@@ -64,10 +67,6 @@ def _content(lines: list[JsonObject]) -> list[JsonObject]:
         if mine:
             out.append(_most(f"share of frames missed with utility on {name}", mine, "missed_share", 0.10))
     return out + _policies(lines)
-
-
-FALLING = ("lte-driving", "step")
-"""Traces whose falls are judged by the frames that are missed."""
 
 
 FIRST_LIMITS_MS = {f"{STEADY}10": 500.0, f"{STEADY}2": 500.0}

@@ -1,11 +1,12 @@
 """Plays a scene over every trace under every rate policy, in virtual time, and scores every third frame.
 
 What a fall of the link does depends on what was on its way at that moment. A trace with an incident is therefore played
-from several starts around it, each with another walk.
+from several starts around it, each with another synthetic walk.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import islice, pairwise
@@ -16,6 +17,7 @@ import numpy as np
 
 from cags_bench.confidence import interval
 from cags_bench.parallel import in_parallel
+from cags_bench.sim.seeds import seeded
 from cags_bench.sim.session import Scenario, SessionResult, simulate
 from cags_bench.traces import link_share, scaled_trace, splats_of
 from cags_client.settings import ClientSettings
@@ -44,10 +46,10 @@ STEADY_S = 3.0
 APART_S = 0.5
 """Seconds between the starts of plays over one incident."""
 
-START = ":start_s="
+_START = re.compile(r"(?<=:start_s=)\d+(\.\d+)?(?=:|$)")
 
 SUMS = ("frames", "frames_missed", "freezes", "frozen_ms", "black_frames", "wasted_bytes")
-"""Figures that are added up over plays. ``recovery_ms`` is the longest; of the others the mean counts."""
+"""Figures that are added up over plays. Of ``recovery_ms`` the largest counts, of the others the mean."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ class Play:
     share: float
     base: Scenario
     number: int = 0
-    """Of the plays over this trace; each has another walk."""
+    """Of the plays over this trace; each has another synthetic walk."""
 
     def scenario(self) -> Scenario:
         """The complete scenario."""
@@ -67,12 +69,9 @@ class Play:
         clip_s = reader.manifest.frames / reader.manifest.fps
         reader.close()
         steady = self.trace.startswith("generated:steady-")
-        poses = self.base.poses
-        if self.number and poses.startswith("synthetic:") and ":seed=" not in poses:
-            poses = f"{poses}:seed={self.number}"
         return replace(
             self.base,
-            poses=poses,
+            poses=seeded(self.base.poses, self.number),
             trace=str(scaled_trace(self.trace, self.share, seconds=clip_s + SPARE_S)),
             server=replace(self.base.server, abr=self.policy),
             client=replace(self.base.client, duration=min(STEADY_S, clip_s) if steady else None),
@@ -105,18 +104,19 @@ def content_lines(
 
 
 def around(trace: str, starts: int) -> list[str]:
-    """``trace``, if it begins shortly before an incident (``:start_s=``), with so many ``starts`` around that one;
-    otherwise alone.
+    """A trace that begins shortly before an incident (``:start_s=``), from ``starts`` moments around it, none before 0;
+    any other trace as it is, once.
     """
-    name, separator, start = trace.partition(START)
-    if not separator:
+    found = _START.search(trace)
+    if found is None:
         return [trace]
-    first_s = float(start) - APART_S * (starts - 1) / 2
-    return [f"{name}{START}{max(first_s + APART_S * number, 0.0):g}" for number in range(starts)]
+    first_s = float(found[0]) - APART_S * (starts - 1) / 2
+    times = [max(first_s + APART_S * number, 0.0) for number in range(starts)]
+    return [f"{trace[: found.start()]}{time_s:g}{trace[found.end() :]}" for time_s in times]
 
 
 def together(plays: list[dict[str, Any]]) -> dict[str, Any]:
-    """The figures of several plays as those of one, with the PSNR of each and 95 % intervals over plays."""
+    """The figures of several plays as one, with the PSNR of each play and 95 % intervals over the plays."""
     out: dict[str, Any] = {"plays": len(plays)}
     for name in plays[0]:
         values = [play[name] for play in plays if play[name] is not None]

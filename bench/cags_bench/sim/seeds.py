@@ -41,6 +41,14 @@ def trace_of(trace: Trace, seed: int) -> Trace:
     return replace(trace, times_ms=array("q", [time for time, _ in moved]), until=until)
 
 
+def seeded(spec: str, seed: int) -> str:
+    """The synthetic walk ``spec`` with another seed, ``seed`` more; anything else as it is."""
+    name, _, first = spec.partition(SEED)
+    if not (seed and spec.startswith("synthetic") and (first.isdecimal() or not first)):
+        return spec
+    return f"{name}{SEED}{int(first or 0) + seed}"
+
+
 def walk_of(spec: str, focus: Focus, window_us: int, seed: int) -> PoseTrace:
     """The walk named by ``spec``, or a variation: for a recorded walk, a later part of it.
 
@@ -49,8 +57,7 @@ def walk_of(spec: str, focus: Focus, window_us: int, seed: int) -> PoseTrace:
     if not seed:
         return open_poses(spec, focus, window_us=window_us)
     if spec.startswith("synthetic"):
-        name, _, first = spec.partition(SEED)
-        return open_poses(f"{name}{SEED}{int(first or 0) + seed}" if first.isdecimal() or not first else spec, focus)
+        return open_poses(seeded(spec, seed), focus)
     walk = read_poses(spec)
     start_us = round(share_of(seed) * max(walk.duration_us - window_us, 0))
     return place(walk.window(start_us, walk.duration_us), focus, window_us=window_us)

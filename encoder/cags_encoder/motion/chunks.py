@@ -141,8 +141,8 @@ def some(rows: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 def _judged(values: F64, present: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Splats by whose errors accuracy is chosen: all, or those that move where they are less than half. The others have
-    nearly no error, and would hide theirs.
+    """Splats whose errors determine the accuracy: all that are present or, if fewer than half of them move, those that
+    move. The others have hardly any error and would lower the mean.
     """
     there = present.any(axis=0)
     moving = (present & (np.abs(values) > LEAST_UNITS).any(axis=2)).any(axis=0)

@@ -4,9 +4,9 @@ A decoder keeps a value until it receives another one. The value of the current 
 every frame. The mean of the coming values stays within the same tolerance for twice as long, with the same mean error.
 Noise of the source, which varies around one value, is then coded once.
 
-The number of updates is ``speed / tolerance``, and the squared error grows with the square of the tolerance. What they
-cost together, if an error is worth less the larger that of the looks is anyway, is smallest where the tolerance is the
-cube root of the speed times the squared error of the looks.
+The number of updates is ``speed / tolerance``, and the squared error grows with the square of the tolerance. An error
+also matters less the larger the looks' own error is. The total cost is smallest where tolerances grow with the cube
+root of speed times the squared error of the looks.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ FASTER = 4.0
 """Largest factor by which the tolerance grows with the speed of change, and factor for noise."""
 
 USUAL_DB = 53.0
-"""PSNR of looks with every level for which the tolerance is as the speed alone would have it: that of a room."""
+"""PSNR of looks with every level at which the tolerance depends on the speed alone: that of a room."""
 
 ROUNDED_DB = 58.9
 """PSNR of pixels rounded to 8 bits. More accurate looks do not make an error more visible."""

@@ -228,7 +228,8 @@ class TileLayers(Message):
     """LoDs ``from_lod`` .. ``to_lod`` - 1 of a tile: the payload is their payloads, one after another.
 
     A tile brings looks, motion or updates (:mod:`cags_common.tiles.kinds`); the first byte of its LoD 0 says which.
-    ``sizes`` has one entry a LoD; so has ``crcs`` (CRC-32, as in the bundle) in messages of versions before 4, or none.
+    ``sizes`` has one entry a LoD. So has ``crcs`` (CRC-32, as in the bundle) in messages of versions before 4; later
+    ones leave it out.
     """
 
     TAG = "tile"

@@ -133,6 +133,9 @@ def test_incidents_are_played_from_several_starts_around_them():
     ]
     assert around("generated:step:start_s=0", 3) == [f"generated:step:start_s={start}" for start in ("0", "0", "0.5")]
     assert around("generated:steady-30", 5) == ["generated:steady-30"]
+    assert around("generated:step:start_s=12:seed=3", 1) == ["generated:step:start_s=12:seed=3"]
+    wrong = "generated:step:start_s=abc"
+    assert around(wrong, 5) == [wrong], "whoever opens it tells what is wrong"
 
 
 def test_plays_are_told_as_one_with_the_spread():
