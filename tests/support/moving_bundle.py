@@ -26,7 +26,7 @@ from cags_common.motion.neighbours import Anchors
 from cags_common.splats import Ids, Splats
 from cags_common.tiles.kinds import TileKind
 from cags_common.tiles.payloads import PositionGrid, decode_base, encode_base, encode_layer
-from cags_common.tiles.updates import encode_update
+from cags_common.tiles.updates import RAMP_COLUMNS, encode_update
 from cags_server.scene.library import SceneLibrary
 from support.codec_scenes import books
 from support.server_scene import FakeScene
@@ -130,7 +130,9 @@ class MovingScene:
         masks = {name: (self._random.random(len(ids)) < 0.5) & (name in names) for name in BOOKS.attributes}
         codes = {name: self._random.integers(0, 64, len(ids)).astype(np.uint32) for name in BOOKS.attributes}
         corner = (-4.0, -1.0, 2.0), (4.0, 1.0, 5.0)
-        return TilePayloads(len(ids), None, corner, encode_update(ids, masks, codes, BOOKS, ORDER), TileKind.UPDATE)
+        frames = {column: self._random.integers(1, 6, len(ids)).astype(np.uint8) for column in RAMP_COLUMNS}
+        payloads = encode_update(ids, masks, codes, BOOKS, ORDER, frames)
+        return TilePayloads(len(ids), None, corner, payloads, TileKind.UPDATE)
 
     def _chunks(self, frame: int) -> list[TilePayloads]:
         out: list[TilePayloads] = []

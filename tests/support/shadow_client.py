@@ -48,12 +48,13 @@ class ShadowClient:
         for at in range(manifest.gof_starts[gof], frame + 1):
             buffer.remove(at, self.ended.get(at, np.zeros(0, np.int32)))
             for key in sorted(key for key in self.held if key[0] == at and 0 in self.held[key]):
-                self._show(buffer, key)
+                self._show(buffer, key, float(frame))
         buffer.move(float(frame))
+        buffer.ramp(float(frame))
         ids = np.flatnonzero((buffer.owner >= 0) & (buffer.splats.logit_opacities > ABSENT_LOGIT)).astype(np.int32)
         return ids, buffer.splats.take(ids)
 
-    def _show(self, buffer: SplatBuffer, key: tuple[int, int]) -> None:
+    def _show(self, buffer: SplatBuffer, key: tuple[int, int], time: float) -> None:
         layers = self.held[key]
         looks = next(entry.looks for entry in self._reader.frame(key[0]).tiles if entry.tile == key[1])
         anchors = None if looks is None else self._reader.anchors(*looks)
@@ -63,7 +64,7 @@ class ShadowClient:
         if isinstance(state, MotionTile):
             buffer.set_motion(state.looks, key[0], state.chunk)
         elif isinstance(state, UpdateState):
-            buffer.update(key[0], state.values())
+            buffer.update(key[0], state.values(), time)
         else:
             slot = Slot(len(buffer.slots), key, steps=state.steps)
             buffer.add(slot)

@@ -17,7 +17,7 @@ from cags_common.motion.neighbours import Anchors
 from cags_common.store.tile_decode import Arrival
 from cags_common.tiles.kinds import TileKind
 from cags_common.tiles.payloads import PositionGrid, encode_base, encode_layer
-from cags_common.tiles.updates import encode_update
+from cags_common.tiles.updates import RAMP_COLUMNS, encode_update
 from support.anchors import together
 from support.small_store import ATTRIBUTES, CAPACITY, ORDER, books, manifest
 
@@ -53,12 +53,15 @@ def motion(of: tuple[int, int], count: int, dx: list[float], lives: list[int] | 
     return TilePayloads(count, None, BOX, payloads, TileKind.MOTION, of, len(dx) - 1)
 
 
-def update(ids: list[int], changed: dict[str, np.ndarray], codes: dict[str, np.ndarray]) -> TilePayloads:
-    """Single attributes of ``ids``."""
+def update(
+    ids: list[int], changed: dict[str, np.ndarray], codes: dict[str, np.ndarray], frames: np.ndarray | None = None
+) -> TilePayloads:
+    """Single attributes of ``ids``, in so many ``frames``; at once without them."""
     none = np.zeros(len(ids), bool)
     masks = {name: changed.get(name, none) for name in ATTRIBUTES}
     full = {name: codes.get(name, np.zeros(len(ids), np.uint32)).astype(np.uint32) for name in ATTRIBUTES}
-    payloads = encode_update(np.array(ids, np.int32), masks, full, books(), ORDER)
+    ramps = {} if frames is None else dict.fromkeys(RAMP_COLUMNS, frames.astype(np.uint8))
+    payloads = encode_update(np.array(ids, np.int32), masks, full, books(), ORDER, ramps)
     return TilePayloads(len(ids), None, BOX, payloads, TileKind.UPDATE)
 
 
@@ -138,7 +141,7 @@ def _random_update(rng: np.random.Generator, ids: list[int]) -> TilePayloads:
     names = ("scale", "opacity", "sh0")
     changed = {name: rng.random(len(ids)) < 0.6 for name in names}
     codes = {name: rng.integers(0, 4 if name == "scale" else 8, len(ids)) for name in names}
-    return update(ids, changed, codes)
+    return update(ids, changed, codes, rng.integers(1, 5, len(ids)))
 
 
 def _random_motion(rng: np.random.Generator, of: tuple[int, int], anchors: Anchors) -> TilePayloads:

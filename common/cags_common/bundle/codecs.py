@@ -12,7 +12,6 @@ from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cags_common.errors import BundleError, ConfigError, DecodeError
 from cags_common.geometry import F32
@@ -29,7 +28,7 @@ from cags_common.tiles.lod import check_order
 from cags_common.tiles.payloads import decode_base, decode_base_ids
 from cags_common.tiles.state import TileState
 from cags_common.tiles.svq import CodebookSet
-from cags_common.tiles.updates import UPDATE_VERSION, UpdateState, update_ids
+from cags_common.tiles.updates import UPDATE_VERSION, Change, UpdateState, update_ids
 
 if TYPE_CHECKING:  # the bundle's reader opens tiles by this module
     from cags_common.bundle.manifest import Manifest
@@ -200,8 +199,8 @@ class UpdateDecoder(Protocol):
         """Take LoD ``lod`` >= 1; whether :meth:`values` changed. Raises :class:`DecodeError`."""
         ...
 
-    def values(self) -> dict[str, tuple[NDArray[np.intp], F32]]:
-        """Column of :class:`Splats` -> (ids [m], values [m, ...]) at the depths there are."""
+    def values(self) -> dict[str, Change]:
+        """Column of :class:`Splats` -> change, at the depths there are."""
         ...
 
     def fork(self) -> UpdateDecoder:

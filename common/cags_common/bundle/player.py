@@ -47,9 +47,10 @@ class BundlePlayer:
             self._buffer = SplatBuffer(manifest.capacity[gof], manifest.sh_degree)
             self._at = first - 1
         for at in range(self._at + 1, frame + 1):
-            self._take(at)
+            self._take(at, float(frame))
             self._at = at
         self._buffer.move(float(frame))
+        self._buffer.ramp(float(frame))
         splats = self._buffer.splats
         alive = (self._buffer.owner >= 0) & (splats.logit_opacities > ABSENT_LOGIT)
         ids = np.flatnonzero(alive).astype(np.int32)
@@ -66,8 +67,8 @@ class BundlePlayer:
             state.add_layer(lod, reader.payload(frame, number, lod))
         return state
 
-    def _take(self, frame: int) -> None:
-        """What ``frame`` brings, in the order in which a client commits it."""
+    def _take(self, frame: int, time: float) -> None:
+        """What ``frame`` brings, in the order in which a client commits it to show ``time``."""
         if self._reader.manifest.motion is None:
             self._buffer.remove(frame, self._reader.removed_ids(frame))
         for entry in self._reader.frame(frame).tiles:
@@ -77,7 +78,7 @@ class BundlePlayer:
                 continue
             self._reader.within(state.ids, frame, f"tile {entry.tile}")
             if isinstance(state, UpdateState):
-                self._buffer.update(frame, state.values())
+                self._buffer.update(frame, state.values(), time)
             else:
                 slot = Slot(len(self._buffer.slots), (frame, entry.tile), steps=state.steps)
                 self._buffer.add(slot)

@@ -174,7 +174,9 @@ class GofBuffer:
         for f, ids in ends:
             _raise_to(began, self._buffer.remove(f, ids), f)
         for staged in updates:
-            _raise_to(began, self._show(staged), staged.held.key[0])
+            _raise_to(began, self._show(staged, float(frame)), staged.held.key[0])
+        for rows, since in self._buffer.ramp(float(frame)):
+            _raise_to(began, rows, since)
         moved = self._buffer.move(float(frame))
         self._forget_past(frame, changed=bool(updates or ends))
         touched = began != UNTOUCHED
@@ -189,8 +191,8 @@ class GofBuffer:
         """
         return np.sort(self._buffer.move(time))
 
-    def _show(self, staged: Staged) -> NDArray[np.integer]:
-        """Apply motion and return the changed rows; no row changes before all motion is evaluated."""
+    def _show(self, staged: Staged, time: float) -> NDArray[np.integer]:
+        """Apply a tile at ``time`` and return the changed rows; nothing moves before all tiles are applied."""
         held, value = staged.held, staged.value
         if isinstance(held, StoredLooks):
             assert isinstance(value, LooksValue)
@@ -205,8 +207,8 @@ class GofBuffer:
         rows = np.zeros(0, np.intp)
         if isinstance(held, StoredUpdate):
             assert isinstance(value, dict)
-            held.ids_of, top = {column: ids for column, (ids, _) in value.items()}, self._top_lod
-            rows = self._buffer.update(held.key[0], value)
+            held.ids_of, top = {column: change.ids for column, change in value.items()}, self._top_lod
+            rows = self._buffer.update(held.key[0], value, time)
         elif held.versions is not None:
             assert isinstance(value, Chunk)
             self._buffer.set_motion(held.looks, held.key[0], value)
@@ -315,7 +317,7 @@ class GofBuffer:
         return looks is not None and looks.on_display and self._buffer.moves(held.looks) == held.key[0]
 
 
-def _raise_to(began: NDArray[np.int32], rows: NDArray[np.integer], frame: int) -> None:
+def _raise_to(began: NDArray[np.int32], rows: NDArray[np.integer], frame: int | NDArray[np.int32]) -> None:
     began[rows] = np.maximum(began[rows], frame)
 
 

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from cags_common.bundle.codecs import MotionDecoder, TileDecoder, UpdateDecoder
 from cags_common.errors import DecodeError
-from cags_common.geometry import F32
 from cags_common.motion.apply import Steps
 from cags_common.motion.chunk import LEVELS, Chunk
 from cags_common.motion.parts import in_motion
@@ -26,6 +25,7 @@ from cags_common.splats import Ids, Splats
 from cags_common.store.shown import StoredLooks
 from cags_common.store.tile_decode import First, Key, Opener, OpenMotion
 from cags_common.store.versions import Version, Versions
+from cags_common.tiles.updates import Change
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +90,7 @@ class StoredUpdate:
 
 
 StoredTile: TypeAlias = StoredLooks | StoredMotion | StoredUpdate
-UpdateValues: TypeAlias = dict[str, tuple[NDArray[np.intp], F32]]
+UpdateValues: TypeAlias = dict[str, Change]
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,8 +5,9 @@ The result does not depend on the order in which tiles are written. Rules:
 - For each splat the newest looks apply (tiles of looks contain whole splats). If two tiles of one frame contain the
   same splat, the tile with the lower number applies.
 - An enhancement layer changes only the splats that its tile still owns.
-- An update changes single attributes. The newest update of an attribute applies until looks of a later frame arrive
-  (two updates of one frame never change the same attribute of a splat).
+- An update changes single attributes, at once or in a ramp (:mod:`cags_common.tiles.ramps`). The newest update of an
+  attribute applies until looks of a later frame arrive (two updates of one frame never change the same attribute of a
+  splat). A ramp begins at the value of the newest update before it, or of the looks.
 - Motion sets position, rotation, fade and end of the splats that a tile of looks owns. The newest chunk that begins at
   or before the displayed time applies, and is held at its end until another arrives.
 - A removal at frame f ends splats of looks before f, and prevents late tiles from restoring them.
@@ -29,7 +30,8 @@ from cags_common.motion.apply import ABSENT_LOGIT, Looks, MovingTile, Steps, mov
 from cags_common.motion.chunk import Chunk
 from cags_common.motion.knots import I32
 from cags_common.splats import SH_REST_OF_DEGREE, Ids, Splats
-from cags_common.tiles.updates import UPDATE_COLUMNS
+from cags_common.tiles.ramps import Ramps
+from cags_common.tiles.updates import RAMP_COLUMNS, UPDATE_COLUMNS, Change
 
 Key = tuple[int, int]
 """Media frame and tile."""
@@ -154,6 +156,11 @@ class SplatBuffer:
         """Column -> [capacity] media frame of the newest update of each row; -1 for none."""
         return {column: self._unset() for column in UPDATE_COLUMNS}
 
+    @cached_property
+    def _ramps(self) -> dict[str, Ramps]:
+        """Column -> splats of which it is on its way to the value of the newest update."""
+        return {column: Ramps(getattr(self.splats, column).shape[1:]) for column in RAMP_COLUMNS}
+
     @property
     def nbytes(self) -> int:
         """Memory of the rows written so far, bytes."""
@@ -173,6 +180,8 @@ class SplatBuffer:
         self.splats.logit_opacities[:] = self._still["logit_opacities"][:] = ABSENT_LOGIT
         for rows in (self.owner, self._source, self._removed_at, *self._updated.values()):
             rows[:] = -1
+        for ramps in self._ramps.values():
+            ramps.clear()
         for motion in self._motions.values():
             motion.shown, motion.dirty = None, True
         for slot in self.slots:
@@ -223,13 +232,18 @@ class SplatBuffer:
         for name, values in splats.arrays():
             base = self._still.get(name, targets[name])
             keep = self._updated[name][rows] >= slot.frame if name in self._updated else None
+            written = rows
             if keep is not None and keep.any():
-                base[rows[~keep]] = values[~keep]
-                self._updated[name][rows[~keep]] = -1
+                written = rows[~keep]
+                base[written] = values[~keep]
+                if name in self._ramps:
+                    self._ramps[name].stand_on(rows[keep], slot.frame, values[keep])
             else:
                 base[rows] = values
-                if keep is not None:
-                    self._updated[name][rows] = -1
+            if keep is not None:
+                self._updated[name][written] = -1
+            if name in self._ramps:
+                self._ramps[name].drop(written)
             if base is not targets[name] and not moving:
                 targets[name][rows] = base[rows]
 
@@ -254,27 +268,63 @@ class SplatBuffer:
 
     # ---------------------------------------------------------------------------------------------------------- updates
 
-    def update(self, frame: int, values: Mapping[str, tuple[Rows, F32]]) -> Rows:
-        """Apply an update of media frame ``frame``: column -> (ids [m], values [m, ...]). Returns the changed rows."""
-        taken = {column: self._takes(frame, column, ids) for column, (ids, _) in values.items()}
-        ids_of = {column: values[column][0][takes] for column, takes in taken.items()}
-        for column, ids in ids_of.items():
-            self._updated[column][ids] = frame
-            target, new = getattr(self.splats, column), values[column][1][taken[column]]
-            if column in self._still:
-                self._still[column][ids] = new
-                owners = self.owner[ids]
-                target[ids[owners >= 0]] = new[owners >= 0]  # splats in motion are evaluated again
-                for index in np.flatnonzero(np.bincount(owners[owners >= 0])):
-                    if motion := self._motions.get(self.slots[index].key):
-                        motion.updated = True
-            else:
-                target[ids] = new
-        return self._shown(list(ids_of.values()))
+    def update(self, frame: int, values: Mapping[str, Change], time: float) -> Rows:
+        """Apply an update of media frame ``frame`` to what is shown at ``time`` (media frames): column -> change.
+        Returns the changed rows. Ramps that ``time`` has not passed are shown by :meth:`ramp`.
+        """
+        changed = []
+        for column, change in values.items():
+            takes = self._takes(frame, column, change.ids)
+            if column in self._ramps:
+                rest = change.take(~takes & self._after(frame, change.ids))
+                self._ramps[column].precede(rest.ids, frame, rest.values)
+            taken = change if takes.all() else change.take(takes)
+            self._change(frame, column, taken, time)
+            changed.append(taken.ids)
+        return self._shown(changed)
+
+    def _change(self, frame: int, column: str, change: Change, time: float) -> None:
+        """Take a change of media ``frame`` that is the newest of all its splats."""
+        since = self._updated[column][change.ids]
+        self._updated[column][change.ids] = frame
+        target, ids, new = getattr(self.splats, column), change.ids, change.values
+        if column in self._still:
+            self._still[column][ids] = new
+            owners = self.owner[ids]
+            target[ids[owners >= 0]] = new[owners >= 0]  # splats in motion are evaluated again
+            for index in np.flatnonzero(np.bincount(owners[owners >= 0])):
+                if motion := self._motions.get(self.slots[index].key):
+                    motion.updated = True
+            return
+        ramps = self._ramps[column]
+        later = frame + change.frames.astype(np.int64) > time + 1
+        if later.any():
+            fresh = change.take(later & ~ramps.refine(ids, frame, new))
+            before = ramps.ends(fresh.ids, target[fresh.ids])
+            ramps.put(fresh.ids, frame, fresh.frames, (before, fresh.values), since[np.isin(ids, fresh.ids)])
+            ids, new = ids[~later], new[~later]
+        ramps.drop(ids)
+        target[ids] = new
+
+    def ramp(self, time: float) -> list[tuple[Rows, NDArray[np.int32]]]:
+        """Show attributes that are on their way as they are at ``time`` (media frames). Returns the changed rows, by
+        column, and for each row the media frame of its update.
+        """
+        out = []
+        for column, ramps in self._ramps.items():
+            ids, values, began = ramps.at(time)
+            getattr(self.splats, column)[ids] = values
+            shown = self.owner[ids] >= 0
+            out.append((ids[shown], began[shown]))
+        return out
 
     def _takes(self, frame: int, column: str, ids: Rows) -> NDArray[np.bool_]:
-        newest = (self._updated[column][ids] <= frame) & (self._source[ids] <= frame)
-        return newest & (self._removed_at[ids] <= frame)
+        return (self._updated[column][ids] <= frame) & self._after(frame, ids)
+
+    def _after(self, frame: int, ids: Rows) -> NDArray[np.bool_]:
+        """Mask of the ``ids`` whose looks and end, if any, came at media ``frame`` or before."""
+        after: NDArray[np.bool_] = (self._source[ids] <= frame) & (self._removed_at[ids] <= frame)
+        return after
 
     def _shown(self, parts: Sequence[Rows]) -> Rows:
         """Union of the given ``parts``, ascending and without duplicates."""
@@ -283,11 +333,13 @@ class SplatBuffer:
         return once[self.owner[once] >= 0]
 
     def uses(self, frame: int, ids_of: Mapping[str, Rows], *, shown: bool = False) -> bool:
-        """Whether the update of ``frame`` of columns' ``ids_of`` is the newest for any splat that exists or may arrive;
-        with ``shown``, for any splat at the displayed time.
+        """Whether the update of ``frame`` of columns' ``ids_of`` is the newest for any splat that exists or may arrive,
+        or a ramp begins at it; with ``shown``, for any splat at the displayed time.
         """
         for column, ids in ids_of.items():
             used = (self._updated[column][ids] == frame) & (self._removed_at[ids] <= frame)
+            if column in self._ramps and self._ramps[column].follows(ids, frame):
+                return True
             if shown:
                 used &= (self.owner[ids] >= 0) & (self.splats.logit_opacities[ids] > ABSENT_LOGIT)
             if used.any():

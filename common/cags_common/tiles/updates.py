@@ -1,7 +1,8 @@
 """Updates: attributes that changed, of splats that are there; whatever is not in an update stays as it was.
 
 LoD 0 is a header, the ids of all splats of which something changed, a bit a splat and attribute that says what, and the
-base codes of what changed. Each further LoD holds the codes of one layer of one attribute, for the splats whose
+base codes of what changed. For each change it is said in how many frames its value is reached (:mod:`.ramps`);
+opacities change at once. Each further LoD holds the codes of one layer of one attribute, for the splats whose
 attribute changed. Positions and rotations are motion's (:mod:`cags_common.motion`). Layout: ``docs/bundle.md``.
 """
 
@@ -10,6 +11,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping, Sequence
 from copy import copy
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,33 +33,72 @@ from cags_common.tiles.attributes import SH_REST_ATTRIBUTES, alpha_logits
 from cags_common.tiles.kinds import TileKind
 from cags_common.tiles.lod import LodLayer
 from cags_common.tiles.payloads import MAX_TILE_SPLATS, decode_layer, encode_layer
+from cags_common.tiles.ramps import AT_ONCE, LONGEST_RAMP, U8
 from cags_common.tiles.svq import CodebookSet
 
-UPDATE_VERSION = 3
+UPDATE_VERSION = 5
 """First byte of an update's LoD 0, as :data:`~cags_common.tiles.payloads.BASE_VERSION` is of a tile of looks."""
 
-_HEAD = struct.Struct("<BBxxIII")  # version, attributes, splats, bytes of the id list and of the masks
+_HEAD = struct.Struct("<BBxxIIII")  # version, attributes, splats, bytes of the id list, of the masks and of the ramps
 
 Masks = Mapping[str, NDArray[np.bool_]]
 
+_PLAIN = {"scale": "log_scales", "opacity": "logit_opacities", "alpha": "logit_opacities", "sh0": "sh0"}
 
-def encode_update(
-    ids: Ids, changed: Masks, codes: Mapping[str, U32], books: CodebookSet, order: Sequence[LodLayer]
+UPDATE_COLUMNS = ("log_scales", "logit_opacities", "sh0", "sh_rest")
+"""Columns of splats that updates may change."""
+
+RAMP_COLUMNS = ("log_scales", "sh0", "sh_rest")
+"""Those that may reach their value in more than one frame."""
+
+_RAMPED = {"scale": "log_scales", "sh0": "sh0", SH_REST_ATTRIBUTES[0]: "sh_rest"}
+"""Attribute -> column of :data:`RAMP_COLUMNS`; bands of harmonics change together."""
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """New values of one column of splats."""
+
+    ids: NDArray[np.intp]  # [m]
+    values: F32  # [m, ...]
+    frames: U8  # [m] in how many frames each value is reached, 1 to LONGEST_RAMP
+
+    def take(self, rows: NDArray[np.bool_]) -> Change:
+        """The change of those that ``rows`` [m] selects."""
+        return Change(self.ids[rows], self.values[rows], self.frames[rows])
+
+
+def encode_update(  # noqa: PLR0917
+    ids: Ids,
+    changed: Masks,
+    codes: Mapping[str, U32],
+    books: CodebookSet,
+    order: Sequence[LodLayer],
+    frames: Mapping[str, U8] | None = None,
 ) -> tuple[bytes, ...]:
     """A payload for each LoD: of splats ``ids`` [n] ascending, attribute by attribute which ``changed`` [n] and the
-    ``codes`` [n] of full length, of which those that changed are taken.
+    ``codes`` [n] of full length, of which those that changed are taken. ``frames``: column of :data:`RAMP_COLUMNS` ->
+    in how many frames [n] values are reached; at once without it.
     """
     masks = squeeze(b"".join(np.packbits(changed[book.attribute], bitorder="little").tobytes() for book in books))
     id_bytes = encode_ids(ids)
     chosen = {name: codes[name][mask] for name, mask in changed.items()}
     base = b"".join(pack_bits(book.layer(chosen[book.attribute], 0), book.layer_bits[0]) for book in books)
-    head = _HEAD.pack(UPDATE_VERSION, len(books), len(ids), len(id_bytes), len(masks))
-    out = [head + id_bytes + masks + squeeze(base)]
+    ramps = _encoded_ramps(changed, frames or {})
+    head = _HEAD.pack(UPDATE_VERSION, len(books), len(ids), len(id_bytes), len(masks), len(ramps))
+    out = [head + id_bytes + masks + ramps + squeeze(base)]
     for item in order:
         book = books[item.attribute]
         layer = book.layer(chosen[item.attribute], item.layer)
         out.append(encode_layer(layer, book.layer_bits[item.layer]) if len(layer) else b"")
     return tuple(out)
+
+
+def _encoded_ramps(changed: Masks, frames: Mapping[str, U8]) -> bytes:
+    """A byte for each change of what may be in a ramp; nothing if there is none."""
+    parts = [frames[_RAMPED[a]][mask] - 1 for a, mask in changed.items() if _RAMPED.get(a) in frames]
+    joined = np.concatenate([np.zeros(0, np.uint8), *parts])
+    return squeeze(joined.tobytes()) if joined.any() else b""
 
 
 class UpdateState:
@@ -68,7 +109,7 @@ class UpdateState:
     def __init__(self, payload: bytes | memoryview, books: CodebookSet, order: Sequence[LodLayer]) -> None:
         """Decode LoD 0. Raises :class:`DecodeError`."""
         self._books, self._order = books, tuple(order)
-        self.ids, self.changed, codes = _opened(payload, books)
+        self.ids, self.changed, self._frames, codes = _opened(payload, books)
         self._codes = codes
         self._depth = dict.fromkeys(books.attributes, 1)
         self._waiting: dict[tuple[str, int], PackedCodes] = {}
@@ -120,76 +161,108 @@ class UpdateState:
             self._depth[name] += 1
         return self._depth[name] > before
 
-    def values(self) -> dict[str, tuple[NDArray[np.intp], F32]]:
-        """Column of :class:`Splats` -> (ids [m], values [m, ...]) at the depths there are."""
-        out: dict[str, tuple[NDArray[np.intp], F32]] = {}
+    def values(self) -> dict[str, Change]:
+        """Column of :class:`Splats` -> change, at the depths there are."""
+        out: dict[str, Change] = {}
         for book in self._books:
             name = book.attribute
             if name in _PLAIN and len(self._codes[name]):
-                ids = self.ids[self.changed[name]].astype(np.intp)
                 values = book.lookup(self._codes[name], self._depth[name])
                 if name == "alpha":
                     values = alpha_logits(values)
                 column = _PLAIN[name]
-                out[column] = ids, np.ascontiguousarray(values[:, 0] if column == "logit_opacities" else values)
+                out[column] = self._change(name, values[:, 0] if column == "logit_opacities" else values)
         bands = [name for name in SH_REST_ATTRIBUTES if name in self._books.attributes]
         if bands and len(self._codes[bands[0]]):
             parts = [self._books[name].lookup(self._codes[name], self._depth[name]) for name in bands]
             rest = np.concatenate(parts, axis=1).reshape(len(parts[0]), SH_REST_OF_DEGREE[len(bands)], 3)
-            out["sh_rest"] = self.ids[self.changed[bands[0]]].astype(np.intp), np.ascontiguousarray(rest)
+            out["sh_rest"] = self._change(bands[0], rest)
         return out
 
-
-_PLAIN = {"scale": "log_scales", "opacity": "logit_opacities", "alpha": "logit_opacities", "sh0": "sh0"}
-
-UPDATE_COLUMNS = ("log_scales", "logit_opacities", "sh0", "sh_rest")
-"""Columns of splats that updates may change."""
+    def _change(self, attribute: str, values: F32) -> Change:
+        return Change(
+            self.ids[self.changed[attribute]].astype(np.intp), np.ascontiguousarray(values), self._frames[attribute]
+        )
 
 
 def update_ids(payload: bytes | memoryview) -> Ids:
     """Only the ids [n] of an update's LoD 0. Raises :class:`DecodeError`."""
-    return _read_ids(payload)[0]
+    return _parts(payload).ids
 
 
-def _read_ids(payload: bytes | memoryview) -> tuple[Ids, int, int, memoryview]:
-    """Ids, attributes, bytes of the masks, and what follows the ids."""
+@dataclass(frozen=True)
+class _Parts:
+    """An update's LoD 0, cut up."""
+
+    ids: Ids
+    attributes: int
+    masks: memoryview
+    ramps: memoryview
+    codes: memoryview
+
+
+def _parts(payload: bytes | memoryview) -> _Parts:
     view = memoryview(payload)
     if len(view) < _HEAD.size:
         raise DecodeError(f"update: {len(view)} bytes are too few")
-    version, attributes, splats, id_bytes, mask_bytes = _HEAD.unpack_from(view)
-    if version != UPDATE_VERSION or splats > MAX_TILE_SPLATS or id_bytes + mask_bytes > len(view) - _HEAD.size:
-        raise DecodeError(f"update: version {version}, {splats} splats, {id_bytes} bytes of ids; beyond bounds")
-    ids = decode_ids(view[_HEAD.size : _HEAD.size + id_bytes], what="update's ids")
+    version, attributes, splats, *sizes = _HEAD.unpack_from(view)
+    if version != UPDATE_VERSION or splats > MAX_TILE_SPLATS or sum(sizes) > len(view) - _HEAD.size:
+        raise DecodeError(
+            f"update: version {version}, {splats} splats, {sizes} bytes of ids, masks and ramps; beyond bounds"
+        )
+    at, cut = _HEAD.size, []
+    for size in sizes:
+        cut.append(view[at : at + size])
+        at += size
+    ids = decode_ids(cut[0], what="update's ids")
     if len(ids) != splats:
         raise DecodeError(f"update: has {len(ids)} ids for {splats} splats")
-    return ids, attributes, mask_bytes, view[_HEAD.size + id_bytes :]
+    return _Parts(ids, attributes, cut[1], cut[2], view[at:])
 
 
 def update_parts(payload: bytes | memoryview) -> dict[str, int]:
     """Bytes of an update's LoD 0 by what they tell. Raises :class:`DecodeError`."""
-    _, _, masks, rest = _read_ids(payload)
-    told = {"heads": _HEAD.size, "ids": len(payload) - _HEAD.size - len(rest), "masks": masks}
-    return told | {"base codes": len(rest) - masks}
+    parts = _parts(payload)
+    named = {"masks": len(parts.masks), "ramps": len(parts.ramps), "base codes": len(parts.codes)}
+    return {"heads": _HEAD.size, "ids": len(payload) - _HEAD.size - sum(named.values())} | named
 
 
 def _opened(
     payload: bytes | memoryview, books: CodebookSet
-) -> tuple[Ids, dict[str, NDArray[np.bool_]], dict[str, U32]]:
-    ids, attributes, mask_bytes, rest = _read_ids(payload)
-    if attributes != len(books):
-        raise DecodeError(f"update: has {attributes} attributes, the codebooks {len(books)}")
-    row = (len(ids) + 7) // 8
-    bits = np.frombuffer(unsqueeze(rest[:mask_bytes], row * len(books), "update: masks"), np.uint8)
-    masks = np.unpackbits(bits.reshape(len(books), row), axis=1, count=len(ids), bitorder="little").astype(bool)
+) -> tuple[Ids, dict[str, NDArray[np.bool_]], dict[str, U8], dict[str, U32]]:
+    """Ids, what changed of each attribute, in how many frames, and base codes."""
+    parts = _parts(payload)
+    if parts.attributes != len(books):
+        raise DecodeError(f"update: has {parts.attributes} attributes, the codebooks {len(books)}")
+    row = (len(parts.ids) + 7) // 8
+    bits = np.frombuffer(unsqueeze(parts.masks, row * len(books), "update: masks"), np.uint8)
+    masks = np.unpackbits(bits.reshape(len(books), row), axis=1, count=len(parts.ids), bitorder="little").astype(bool)
     changed = dict(zip(books.attributes, masks, strict=True))
     bands = [changed[name] for name in SH_REST_ATTRIBUTES if name in changed]
     if any(not np.array_equal(band, bands[0]) for band in bands):
         raise DecodeError("update: bands of harmonics change for different splats")
     sizes = {b.attribute: packed_bytes(int(changed[b.attribute].sum()), b.layer_bits[0]) for b in books}
-    packed, at, codes = unsqueeze(rest[mask_bytes:], sum(sizes.values()), "update: base codes"), 0, {}
+    packed, at, codes = unsqueeze(parts.codes, sum(sizes.values()), "update: base codes"), 0, {}
     for book in books:
         end = at + sizes[book.attribute]
         part = PackedCodes(packed[at:end], book.layer_bits[0])
         codes[book.attribute] = part.unpack(int(changed[book.attribute].sum()))
         at = end
-    return ids, changed, codes
+    return parts.ids, changed, _frames(parts.ramps, changed), codes
+
+
+def _frames(ramps: memoryview, changed: Masks) -> dict[str, U8]:
+    """Attribute -> in how many frames each of its changes is made. Raises :class:`DecodeError`."""
+    out = {name: np.full(int(mask.sum()), AT_ONCE, np.uint8) for name, mask in changed.items()}
+    if not len(ramps):
+        return out
+    ramped = [name for name in changed if name in _RAMPED]
+    told = np.frombuffer(unsqueeze(ramps, sum(len(out[name]) for name in ramped), "update: ramps"), np.uint8)
+    if told.max(initial=0) >= LONGEST_RAMP:
+        raise DecodeError(f"update: a ramp of {int(told.max()) + 1} frames; {LONGEST_RAMP} are the most")
+    at = 0
+    for name in ramped:
+        end = at + len(out[name])
+        out[name] = told[at:end] + np.uint8(1)
+        at = end
+    return out

@@ -51,6 +51,12 @@ class SvqSplats:
         codes = {name: codes[rows] for name, codes in self.codes.items()}
         return replace(self, means=self.means[rows], radii=self.radii[rows], codes=codes)
 
+    def joined(self, other: SvqSplats) -> SvqSplats:
+        """These splats, then the ``other`` ones."""
+        codes = {name: np.concatenate([mine, other.codes[name]]) for name, mine in self.codes.items()}
+        means, radii = np.concatenate([self.means, other.means]), np.concatenate([self.radii, other.radii])
+        return replace(self, means=means, radii=radii, codes=codes)
+
 
 @dataclass(frozen=True, eq=False)
 class SvqCodec:

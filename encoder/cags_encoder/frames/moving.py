@@ -19,7 +19,9 @@ from cags_common.motion.apply import Steps
 from cags_common.splats import Ids, Splats
 from cags_common.tiles.morton import morton_order, tile_ranges
 from cags_common.tiles.payloads import DELTA_TILE_SPLATS, KEY_TILE_SPLATS
+from cags_common.tiles.ramps import AT_ONCE, Ramps
 from cags_common.tiles.svq import CodebookSet
+from cags_common.tiles.updates import RAMP_COLUMNS
 from cags_encoder.codecs.svq import SvqCodec, SvqSplats
 from cags_encoder.frames.differential import QuantisedDelta
 from cags_encoder.motion.chunks import ROUND, TrackSpan
@@ -29,7 +31,7 @@ from cags_encoder.motion.trails import Trails, Window
 from cags_encoder.settings import EncodeSettings
 from cags_encoder.tiling import CutTile, corners, cut_tiles
 from cags_encoder.tracks.effect import drawn
-from cags_encoder.tracks.lasting import EFFECTS
+from cags_encoder.tracks.lasting import EFFECTS, Coming, Held, segment
 from cags_encoder.tracks.placing import Placed, Told
 from cags_encoder.tracks.rows import SplatTable
 
@@ -61,8 +63,24 @@ class UpdateCut:
 
     ids: Ids  # [n] ascending
     changed: Mapping[str, NDArray[np.bool_]]  # attribute -> [n]
+    frames: Mapping[str, NDArray[np.uint8]]  # column -> [n] in how many frames values are reached; at once without it
     coded: SvqSplats  # [n]
     bounds: tuple[Vec3, Vec3]
+
+
+@dataclass(frozen=True, eq=False)
+class _Again:
+    """Splats [k] that are there and of which something may have to be sent again."""
+
+    ids: Ids
+    true: Splats  # of the source
+    told: Splats  # what is coded in their place
+    lengths: dict[str, NDArray[np.uint8]]  # column -> in how many frames values are reached
+    prepared: Splats
+    coded: SvqSplats
+    fresh: Splats  # as decoded
+    changed: dict[str, NDArray[np.bool_]]  # attribute -> whether it is sent again
+    whole: NDArray[np.bool_]  # whether all looks are
 
 
 @dataclass(eq=False)
@@ -99,6 +117,9 @@ class MovingGroups:
         self._tolerated = tolerances  # of the current group
         self._tracks: list[_Track] = []
         self._held: SplatTable | None = None
+        self._ramps: dict[str, Ramps] = {}
+        self._noise: dict[str, F64] = {column: np.zeros(0) for column in RAMP_COLUMNS}
+        """Column -> visible effect [capacity] of quantisation alone of the value that was sent last."""
         self._axes = np.zeros((0, 3), np.int64)  # [capacity] order of a splat's axes in its looks
         self._fading = np.zeros(0, bool)  # [capacity] whether a fade describes the opacity now
         self._faded: list[Ids] = []  # ids whose fades ended at this frame
@@ -115,30 +136,30 @@ class MovingGroups:
         return float(10 * np.log10(self._outdated / self._coarse))
 
     def send(self, frame: Placed, quantised: QuantisedDelta) -> tuple[CutTile | UpdateCut | TrackSpan, ...]:
-        """Content of ``frame``; ``quantised`` [k] are its changes that are more than motion."""
+        """Content of ``frame``; ``quantised`` [b] are its new splats."""
         if frame.key:
             self._tracks, self._held = [], None
             self._tolerated = self._tolerances
-        rows = np.flatnonzero(frame.looks)
-        ids, births = frame.delta.ids[rows], frame.births[rows]
         self._room(frame.capacity)
-        coded = _svq(quantised)
-        fresh = self._codec.decode(coded)
+        self._advance(frame.index)
         assert frame.told is not None
-        source, told = frame.delta.splats.take(rows), frame.told.splats
-        changed = self._changed(ids, births, source, frame.told, (quantised.prepared, fresh))
-        whole = births | changed.pop("whole")
-        looks = self._looks(frame, ids[whole], quantised, np.flatnonzero(whole), told.take(whole))
+        born, new = frame.delta.ids[frame.births], frame.told.splats
+        again = self._again(frame, frame.told)
+        if again is None:
+            looks = self._looks(frame, born, _svq(quantised), quantised.prepared.means, new)
+        else:
+            whole, coded = np.flatnonzero(again.whole), _svq(quantised).joined(again.coded.take(again.whole))
+            means = np.concatenate([quantised.prepared.means, again.prepared.means[whole]])
+            all_ids, told = np.concatenate([born, again.ids[whole]]), Splats.concatenate([new, again.told.take(whole)])
+            looks = self._looks(frame, all_ids, coded, means, told)
         if frame.key:
             self._tolerated = self._tolerances.over(self._moving_share(frame.index))
         self._mark_gone(frame.delta.removed)
         self._faded = []
         chunks = self._chunks(frame.index)
-        changed["opacity"] = self._brighter(ids, source, fresh)
-        for name in ("scale", "sh0", "sh_rest"):
-            changed[name] &= ~whole
-        updates = [*self._updates(ids, changed, quantised, fresh), *self._after_fades(frame.index, ids)]
-        return (*looks, *chunks, *updates)
+        updates = [] if again is None else self._updates(frame.index, again)
+        judged = np.zeros(0, np.int32) if again is None else again.ids
+        return (*looks, *chunks, *updates, *self._after_fades(frame.index, judged))
 
     def _room(self, capacity: int) -> None:
         more = capacity - len(self._fading)
@@ -146,6 +167,7 @@ class MovingGroups:
             self._axes = np.concatenate([self._axes, np.tile(np.arange(3), (more, 1))])
             self._fading = np.concatenate([self._fading, np.zeros(more, bool)])
             self._owner = np.concatenate([self._owner, np.full((more, 2), -1)])
+            self._noise = {c: np.concatenate([known, np.zeros(more)]) for c, known in self._noise.items()}
 
     def _mark_gone(self, removed: Ids) -> None:
         if self._held is not None:
@@ -153,15 +175,16 @@ class MovingGroups:
 
     # --------------------------------------------------------------------------------------------------------- looks
 
-    def _looks(
-        self, frame: Placed, ids: Ids, quantised: QuantisedDelta, rows: NDArray[np.intp], told: Splats
-    ) -> list[CutTile]:
-        """Tiles of splats that are new or sent whole again; ``told`` [n] are the splats to code."""
+    def _looks(self, frame: Placed, ids: Ids, coded: SvqSplats, means: F32, told: Splats) -> list[CutTile]:
+        """Tiles of splats ``ids`` [n] that are new or sent whole again, at ``means`` [n, 3]; ``told`` [n] are what was
+        ``coded``.
+        """
         if not len(ids):
             return []
-        coded = _svq(quantised).take(rows)
+        order = np.argsort(ids, kind="stable")
+        ids, coded, means, told = ids[order], coded.take(order), means[order], told.take(order)
         largest = KEY_TILE_SPLATS if frame.key else DELTA_TILE_SPLATS
-        tiles = cut_tiles(ids, quantised.prepared.take(rows).means, coded, largest=largest, id_range=frame.key)
+        tiles = cut_tiles(ids, means, coded, largest=largest, id_range=frame.key)
         out = []
         for number, cut in enumerate(tiles):
             tile = cut if frame.key else self._coarsened(cut, frame.index)
@@ -173,6 +196,9 @@ class MovingGroups:
             if self._codec.quantiser.canonical_axes:
                 self._axes[tile.ids] = np.argsort(-mine.log_scales, axis=1, kind="stable")
             self._fading[tile.ids], self._owner[tile.ids] = False, (frame.index, number)
+            scales = np.take_along_axis(mine.log_scales, self._axes[tile.ids], axis=1)
+            for name, effect in _effects(shown, mine, scales, drawn(mine.logit_opacities)).items():
+                self._noise[COLUMNS[name]][tile.ids] = effect
             self._tracks.append(self._track((frame.index, number), tile, shown, mine))
             if frame.key:
                 self._tracks[-1].first_span = -(-self._span * (1 + number % PHASES) // PHASES)
@@ -192,7 +218,10 @@ class MovingGroups:
     def _hold(self, ids: Ids, shown: Splats) -> None:
         if self._held is None:
             self._held = SplatTable(shown.take(slice(0, 0)))
+            self._ramps = {column: Ramps(array.shape[1:]) for column, array in shown.arrays() if column in RAMP_COLUMNS}
         self._held.put(ids, shown)
+        for ramps in self._ramps.values():
+            ramps.drop(ids)
 
     def _track(self, key: tuple[int, int], tile: CutTile, shown: Splats, source: Splats) -> _Track:
         coded = tile.coded
@@ -206,32 +235,72 @@ class MovingGroups:
 
     # ------------------------------------------------------------------------------------------------------- updates
 
-    def _changed(
-        self, ids: Ids, births: NDArray[np.bool_], source: Splats, told: Told, coded: tuple[Splats, Splats]
-    ) -> dict[str, NDArray[np.bool_]]:
-        """Attribute -> which splats [k] need it sent again; ``whole``: which need all of their looks sent again.
+    def _advance(self, frame: int) -> None:
+        """Bring the decoder's copy to ``frame``."""
+        if self._held is None:
+            return
+        for column, ramps in self._ramps.items():
+            ids, values, _ = ramps.at(float(frame))
+            self._held.set(column, ids, values)
 
-        ``told`` are the values to send, ``coded`` the same as prepared and as decoded.
-        """
-        prepared, fresh = coded
-        names = tuple(COLUMNS)
-        out = {name: np.zeros(len(ids), bool) for name in (*names, "whole")}
-        old = np.flatnonzero(~births)
+    def _again(self, frame: Placed, told: Told) -> _Again | None:
+        """The splats that look different and whose copy in the decoder is farther off than it may be; None for none."""
+        old = np.flatnonzero(frame.looks & ~frame.births)
         if self._held is None or not len(old):
-            return out
-        held, true, now, axes = self._held.take(ids[old]), source.take(old), prepared.take(old), self._axes[ids[old]]
-        scales, asked = (np.take_along_axis(s.log_scales, axes, axis=1) for s in (true, told.splats.take(old)))
+            return None
+        ids, true = frame.delta.ids[old], frame.delta.splats.take(old)
+        held, axes = self._held.take(ids), self._axes[ids]
         weight = np.maximum(drawn(held.logit_opacities), drawn(true.logit_opacities))
-        wrong = _effects(held, true, scales, weight)
-        noise = _effects(fresh.take(old), now, now.log_scales, weight)
+        wrong = _effects(held, true, np.take_along_axis(true.log_scales, axes, axis=1), weight)
+        over = {name: wrong[name] > told.wrong[column] for name, column in COLUMNS.items()}
+        dim = np.abs(drawn(held.logit_opacities) - drawn(true.logit_opacities)) > SHARE * self._threshold
+        rows = np.flatnonzero(np.logical_or.reduce([*over.values(), dim & ~self._fading[ids]]))
+        if not len(rows):
+            return None
+        limits = {column: limit[rows] for column, limit in told.wrong.items()}
+        again = self._segments(
+            ids[rows], true.take(rows), {name: mask[rows] for name, mask in over.items()}, limits, frame.index
+        )
         # Codes list the largest axis first. If their order changed after the looks were sent, updates are wrong.
-        swapped = weight * EFFECTS["log_scales"](np.abs(fresh.log_scales[old] - asked))
-        other_axes = swapped > noise["scale"] + told.wrong["log_scales"][old]
+        weight, now, fresh = weight[rows], again.prepared, again.fresh
+        noise = _effects(fresh, now, now.log_scales, weight)
+        asked = np.take_along_axis(again.told.log_scales, axes[rows], axis=1)
+        swapped = weight * EFFECTS["log_scales"](np.abs(fresh.log_scales - asked))
+        other_axes = swapped > noise["scale"] + limits["log_scales"]
         noise["scale"] = np.where(other_axes, noise["scale"], swapped)
-        for name in names:
-            out[name][old] = wrong[name] > noise[name] + told.wrong[COLUMNS[name]][old]
-        out["whole"][old] = out["scale"][old] & other_axes
-        return out
+        for name, column in COLUMNS.items():
+            again.changed[name] &= wrong[name][rows] > noise[name] + limits[column]
+            self._noise[column][again.ids[again.changed[name]]] = noise[name][again.changed[name]]
+        again.whole[:] = again.changed["scale"] & other_axes
+        return again
+
+    def _segments(
+        self,
+        ids: Ids,
+        true: Splats,
+        over: dict[str, NDArray[np.bool_]],
+        limits: Mapping[str, F64],
+        frame: int,
+    ) -> _Again:
+        """What to send of ``ids`` [k], which are ``true`` [k], where attributes are ``over`` their ``limits``."""
+        assert self._held is not None
+        coming, weight = Coming(true, ids, self._trails.later(frame)), drawn(true.logit_opacities)
+        held, axes, told = dict(self._held.take(ids).arrays()), self._axes[ids], dict(true.arrays())
+        lengths = {column: np.full(len(ids), AT_ONCE, np.uint8) for column in RAMP_COLUMNS}
+        for name, column in COLUMNS.items():
+            rows = np.flatnonzero(over[name])
+            now, frames = told[column][rows], coming.frames(column, rows)
+            begins = self._ramps[column].ends(ids[rows], held[column][rows])
+            if column == "log_scales":  # the decoder's copy lists axes in the order of the looks
+                begins = np.take_along_axis(begins, np.argsort(axes[rows], axis=1), axis=1)
+            before, seen = Held(begins, self._noise[column][ids[rows]]), (EFFECTS[column], weight[rows])
+            told[column] = told[column].copy()
+            told[column][rows], lengths[column][rows] = segment(before, now, frames, seen, limits[column][rows])
+        splats = Splats(**told)
+        prepared = self._codec.prepare(splats)
+        coded = self._codec.quantise(prepared)
+        nothing = np.zeros(len(ids), bool)
+        return _Again(ids, true, splats, lengths, prepared, coded, self._codec.decode(coded), over, nothing)
 
     def _brighter(self, ids: Ids, true: Splats, fresh: Splats) -> NDArray[np.bool_]:
         """Which splats [k] have a visibly wrong opacity that no fade describes."""
@@ -242,29 +311,29 @@ class MovingGroups:
         noise = np.abs(drawn(fresh.logit_opacities) - alpha)
         return (wrong > noise + SHARE * self._threshold) & ~self._fading[ids]
 
-    def _updates(
-        self, ids: Ids, changed: dict[str, NDArray[np.bool_]], quantised: QuantisedDelta, fresh: Splats
-    ) -> list[UpdateCut]:
+    def _updates(self, frame: int, again: _Again) -> list[UpdateCut]:
+        ids = again.ids
+        changed = {name: mask & ~again.whole for name, mask in again.changed.items()}
+        changed["opacity"] = self._brighter(ids, again.true, again.fresh)
         rows = np.flatnonzero(np.logical_or.reduce(list(changed.values())))
         if not len(rows) or self._held is None:
             return []
-        self._compare(self._held.take(ids), changed, quantised, fresh)
-        self._take_over(ids, changed, rows, fresh)
-        means = quantised.prepared.means
+        self._compare(self._held.take(ids), changed, again)
+        self._take_over(frame, ids, changed, again.fresh, again.lengths)
+        means = again.prepared.means
         most = len(rows) > MOST_CHANGE * int(self._held.alive.sum())
         order = rows if most else rows[morton_order(means[rows])]
         tiles = []
         for first, end in tile_ranges(len(order), DELTA_TILE_SPLATS):
             run = np.sort(order[first:end])
             masks = {book.attribute: self._mask(book.attribute, changed)[run] for book in self._books}
-            tiles.append(UpdateCut(ids[run], masks, _svq(quantised).take(run), corners(means[run])))
+            lengths = {column: length[run] for column, length in again.lengths.items()}
+            tiles.append(UpdateCut(ids[run], masks, lengths, again.coded.take(run), corners(means[run])))
         return tiles
 
-    def _compare(
-        self, held: Splats, changed: dict[str, NDArray[np.bool_]], quantised: QuantisedDelta, fresh: Splats
-    ) -> None:
+    def _compare(self, held: Splats, changed: dict[str, NDArray[np.bool_]], again: _Again) -> None:
         """Add up the errors of the attributes that an update replaces, and of its lowest level, against its highest."""
-        coarse = self._codec.coarse(_svq(quantised))
+        fresh, coarse = again.fresh, self._codec.coarse(again.coded)
         weight = np.maximum(drawn(held.logit_opacities), drawn(fresh.logit_opacities))
         old, new = (_effects(shown, fresh, fresh.log_scales, weight) for shown in (held, coarse))
         for name in COLUMNS:
@@ -286,11 +355,11 @@ class MovingGroups:
         rows = np.flatnonzero(self._brighter(ids, true, fresh) & window.present[0])
         if not len(rows):
             return []
-        nothing = np.zeros(len(ids), bool)
+        nothing, only = np.zeros(len(rows), bool), fresh.take(rows)
         changed = {"scale": nothing, "sh0": nothing, "sh_rest": nothing, "opacity": ~nothing}
-        self._take_over(ids, changed, rows, fresh)
-        masks = {book.attribute: self._mask(book.attribute, changed)[rows] for book in self._books}
-        return [UpdateCut(ids[rows], masks, coded.take(rows), corners(window.means[0][rows]))]
+        self._take_over(frame, ids[rows], changed, only, {})
+        masks = {book.attribute: self._mask(book.attribute, changed) for book in self._books}
+        return [UpdateCut(ids[rows], masks, {}, coded.take(rows), corners(window.means[0][rows]))]
 
     @staticmethod
     def _mask(attribute: str, changed: dict[str, NDArray[np.bool_]]) -> NDArray[np.bool_]:
@@ -300,15 +369,26 @@ class MovingGroups:
         return changed[name]
 
     def _take_over(
-        self, ids: Ids, changed: dict[str, NDArray[np.bool_]], rows: NDArray[np.intp], fresh: Splats
+        self,
+        frame: int,
+        ids: Ids,
+        changed: Mapping[str, NDArray[np.bool_]],
+        fresh: Splats,
+        lengths: Mapping[str, NDArray[np.uint8]],
     ) -> None:
+        """The decoder's copy of ``ids`` [k] takes what ``changed`` [k] over from ``fresh`` [k], in so many frames."""
         assert self._held is not None
-        held = {name: array.copy() for name, array in self._held.take(ids[rows]).arrays()}
-        new = dict(fresh.take(rows).arrays())
-        for name, column in {**COLUMNS, "opacity": "logit_opacities"}.items():
-            mask = changed[name][rows]
-            held[column][mask] = new[column][mask]
-        self._held.put(ids[rows], Splats(**held))
+        new = dict(fresh.arrays())
+        dim = changed["opacity"]
+        self._held.set("logit_opacities", ids[dim], new["logit_opacities"][dim])
+        for name, column in COLUMNS.items():
+            mask = changed[name]
+            if mask.any():
+                mine, ramps = ids[mask].astype(np.intp), self._ramps[column]
+                begins = ramps.ends(mine, getattr(self._held.take(ids[mask]), column))
+                since = np.full(len(mine), frame - 1, np.int32)
+                ramps.put(mine, frame, lengths[column][mask], (begins, new[column][mask]), since)
+        self._advance(frame)
 
     # -------------------------------------------------------------------------------------------------------- motion
 

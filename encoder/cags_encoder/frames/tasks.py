@@ -46,9 +46,10 @@ def quantise(codec: Shared[ClipCodec], delta: SourceDelta, key: bool) -> Quantis
 
 
 def quantise_looks(codec: Shared[ClipCodec], frame: Placed) -> QuantisedDelta:
-    """Quantise the changes of a frame that are more than motion."""
-    machine, told = codec.get(), frame.told
-    prepared = machine.prepare(frame.delta.splats.take(frame.looks) if told is None else told.splats)
+    """Quantise the new splats of a frame."""
+    machine = codec.get()
+    assert frame.told is not None
+    prepared = machine.prepare(frame.told.splats)
     return QuantisedDelta(prepared, machine.quantise(prepared), None, encode_source(frame.delta))
 
 
@@ -62,7 +63,8 @@ def _packed(codec: ClipCodec, tile: AnyCut) -> TilePayloads:
         return encode_span(tile)
     if isinstance(tile, UpdateCut):
         assert isinstance(codec, SvqCodec)
-        payloads = encode_update(tile.ids, tile.changed, tile.coded.codes, codec.quantiser.books, codec.lod_order)
+        books, order = codec.quantiser.books, codec.lod_order
+        payloads = encode_update(tile.ids, tile.changed, tile.coded.codes, books, order, tile.frames)
         return TilePayloads(len(tile.ids), None, tile.bounds, payloads, TileKind.UPDATE)
     payloads = codec.encode_tile(tile.ids, tile.coded, id_range=tile.id_range)
     return TilePayloads(len(tile.ids), int(tile.ids[0]) if tile.id_range else None, tile.bounds, payloads)

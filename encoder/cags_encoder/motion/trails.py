@@ -13,8 +13,8 @@ from cags_common.geometry import F32
 from cags_common.splats import Ids
 from cags_encoder.motion.fades import fit_fades, peaks
 from cags_encoder.tracks.effect import drawn
-from cags_encoder.tracks.lasting import lasting
-from cags_encoder.tracks.placing import Placed
+from cags_encoder.tracks.lasting import Allowed, lasting, tolerances
+from cags_encoder.tracks.placing import Placed, Told
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +54,7 @@ class Trails:
         """
         self._span, self._wrong, self._ease = span, wrong, ease
         self._moments: dict[int, _Moment] = {}
+        self._placed: dict[int, Placed] = {}
         self._newest: _Moment | None = None
         self._ends: dict[int, int] = {}  # first frame of a group -> its last known frame
         self._group = 0
@@ -78,8 +79,14 @@ class Trails:
 
     def forget(self, frame: int) -> None:
         """Drop the frames before ``frame``."""
-        for old in [at for at in self._moments if at < frame]:
-            del self._moments[old]
+        for known in (self._moments, self._placed):
+            for old in [at for at in known if at < frame]:
+                del known[old]
+
+    def later(self, frame: int) -> list[Placed]:
+        """The frames of its group after ``frame``, as many as are looked ahead."""
+        last = min(self.last(frame), frame + self._span)
+        return [self._placed[at] for at in range(frame + 1, last + 1)]
 
     def last(self, frame: int) -> int:
         """The last frame of the group of ``frame`` as far as known: at least ``span`` frames ahead."""
@@ -109,15 +116,18 @@ class Trails:
         moment.means[ids], moment.quats[ids] = splats.means, splats.quats
         moment.opacities[ids], moment.alive[ids] = drawn(splats.logit_opacities), True
         self._newest = self._moments[frame.index] = moment
+        self._placed[frame.index] = frame
         self._ends[self._group] = frame.index
 
     def _ready(self, frame: Placed, later: Sequence[Placed]) -> Placed:
-        splats, births = frame.delta.splats, np.flatnonzero(frame.births)
+        splats, ids, births = frame.delta.splats, frame.delta.ids, np.flatnonzero(frame.births)
         if len(births):
             last = later[-1].index if later else frame.index
             splats = replace(splats, logit_opacities=self._peaks(frame, births, last))
-        looks = np.flatnonzero(frame.looks)
-        return replace(frame, told=lasting(splats.take(looks), frame.delta.ids[looks], later, self._wrong, self._ease))
+        others = np.flatnonzero(frame.looks & ~frame.births)
+        allowed = Allowed(self._wrong, self._ease)
+        new = lasting(splats.take(births), ids[births], later, allowed)
+        return replace(frame, told=Told(new, tolerances(splats.take(others), ids[others], later, allowed)))
 
     def _peaks(self, frame: Placed, births: NDArray[np.intp], last: int) -> F32:
         """Opacity logits [m] of the delta's splats; for those of ``births`` that fade, the largest of their life."""

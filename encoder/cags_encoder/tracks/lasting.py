@@ -1,8 +1,10 @@
 """Values for attributes that change, chosen to stay within a tolerance for as long as possible.
 
-A decoder keeps a value until it receives another one. The value of the current frame is exact now and gets worse with
-every frame. The mean of the coming values stays within the same tolerance for twice as long, with the same mean error.
-Noise of the source, which varies around one value, is then coded once.
+A decoder keeps a value until an update brings another one, at once or in a ramp over some frames
+(:mod:`cags_common.tiles.ramps`). A value that is taken at once is the mean of the coming values: the value of the
+current frame is exact now and gets worse with every frame, the mean stays within the same tolerance for twice as long.
+Noise of the source, which varies around one value, is then coded once. A drift is followed by ramps: a line stays
+within the tolerance for much longer than any value does.
 
 The number of updates is ``speed / tolerance``, and the squared error grows with the square of the tolerance. An error
 also matters less the larger the looks' own error is. The total cost is smallest where tolerances grow with the cube
@@ -12,9 +14,9 @@ root of speed times the squared error of the looks.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +24,21 @@ from numpy.typing import NDArray
 from cags_common.geometry import F32, F64
 from cags_common.splats import SH_C0, Ids, Splats
 from cags_common.tiles.morton import morton_order
+from cags_common.tiles.ramps import AT_ONCE, LONGEST_RAMP, U8
 from cags_encoder.tracks.effect import drawn
-from cags_encoder.tracks.placing import Placed, Told
+from cags_encoder.tracks.placing import Placed
 
 Effect = Callable[[NDArray[Any]], NDArray[Any]]
 """Visible effect [n] of differences [n, ...] of one attribute of opaque splats."""
+
+Weighed: TypeAlias = tuple[Effect, F64]
+"""The effect of a difference, and the opacities [n] of the splats."""
+
+Seen: TypeAlias = tuple[F32, NDArray[np.bool_]]
+"""Values [n, ...] of one attribute in one frame, and which splats [n] are still there."""
+
+RAMPS = (2, 3, 4, 6, 8, 12, LONGEST_RAMP)
+"""Lengths of ramps, frames: few, so that they take few bits."""
 
 EFFECTS: dict[str, Effect] = {
     "log_scales": lambda off: off.max(axis=1),
@@ -44,8 +56,8 @@ FASTER = 4.0
 USUAL_DB = 53.0
 """PSNR of looks with every level at which the tolerance depends on the speed alone: that of a room."""
 
-ROUNDED_DB = 58.9
-"""PSNR of pixels rounded to 8 bits. More accurate looks do not make an error more visible."""
+BEST_DB = 65.0
+"""PSNR at which ladders of levels end. Better looks do not make an error more visible."""
 
 ALONE, RUN = 0.5, 16
 """Weight of a change of scales that a splat's neighbours do not have in common, and how many are compared: what some
@@ -59,33 +71,82 @@ NOISE_STEPS = 1.5
 
 def ease_of(psnr_db: float | None) -> float:
     """Factor of the tolerances of what changes fast, for looks of this PSNR with every level; None: not measured."""
-    return 1.0 if psnr_db is None else 10 ** ((USUAL_DB - min(psnr_db, ROUNDED_DB)) / 30)
+    return 1.0 if psnr_db is None else 10 ** ((USUAL_DB - min(psnr_db, BEST_DB)) / 30)
 
 
-def lasting(splats: Splats, ids: Ids, later: Sequence[Placed], most: float, ease: float = 1.0) -> Told:
-    """Values to code for ``splats`` [n] with ``ids`` [n]: scales, colours and harmonics.
+@dataclass(frozen=True)
+class Allowed:
+    """Errors that looks may have."""
 
-    Each value is the mean over the longest run of this frame and the frames ``later`` in which it stays within its
-    tolerance. The tolerance is a visible effect of ``most``, and more for an attribute that changes by more than twice
-    that in those frames, or by less with ``ease`` (:func:`ease_of`) above 1.
+    effect: float
+    """Visible effect. Without any (0) nothing but the present values will do."""
+    ease: float = 1.0
+    """What changes by more than twice that may be as much farther off, or, above 1, by less (:func:`ease_of`)."""
+
+
+def lasting(splats: Splats, ids: Ids, later: Sequence[Placed], allowed: Allowed) -> Splats:
+    """``splats`` [n] with ``ids`` [n], and scales, colours and harmonics that last: each is the mean over the longest
+    run of this frame and the frames ``later`` in which it stays within its tolerance.
     """
-    changes = _changes(ids, later)
-    weight = drawn(splats.logit_opacities)
-    columns = dict(splats.arrays())
-    found = {
-        name: _lasting(
-            columns[name],
-            [(dict(now.arrays())[name], rows, there) for now, rows, there in changes],
-            effect,
-            most,
-            weight,
-            ease=ease,
-            places=splats.means if name == "log_scales" else None,
-        )
-        for name, effect in EFFECTS.items()
-    }
-    told = replace(splats, **{name: values for name, (values, _) in found.items()})
-    return Told(told, {name: tolerances for name, (_, tolerances) in found.items()})
+    coming, weight = Coming(splats, ids, later), drawn(splats.logit_opacities)
+    told = {}
+    for name, effect in EFFECTS.items():
+        rows, frames = coming.changing(name)
+        now = coming.now[name]
+        limit = _limits(now[rows], frames, coming.places(name, rows), (effect, weight[rows]), allowed)
+        told[name] = now.copy()
+        told[name][rows] = _run(now[rows], frames, (effect, weight[rows]), limit)[0]
+    return replace(splats, **told)
+
+
+def tolerances(splats: Splats, ids: Ids, later: Sequence[Placed], allowed: Allowed) -> dict[str, F64]:
+    """Column of splats -> visible effect [n] of the largest error that each of ``splats`` [n] may have, which have
+    ``ids`` [n], for their changes in the frames ``later``.
+    """
+    coming, weight = Coming(splats, ids, later), drawn(splats.logit_opacities)
+    out = {}
+    for name, effect in EFFECTS.items():
+        rows, frames = coming.changing(name)
+        out[name] = np.full(len(splats), allowed.effect)
+        now = coming.now[name][rows]
+        out[name][rows] = _limits(now, frames, coming.places(name, rows), (effect, weight[rows]), allowed)
+    return out
+
+
+class Coming:
+    """Some splats in this frame and the ones after it."""
+
+    def __init__(self, splats: Splats, ids: Ids, later: Sequence[Placed]) -> None:
+        """``splats`` [n] with ``ids`` [n] in this frame."""
+        self.now = dict(splats.arrays())
+        self._changes = _changes(ids, later)
+
+    def changing(self, column: str) -> tuple[NDArray[np.intp], list[Seen]]:
+        """Rows [m] of which ``column`` changes, and what it is in each later frame."""
+        now = self.now[column]
+        differs = np.zeros(len(now), bool)
+        for splats, rows, _ in self._changes:
+            differs[rows] |= (getattr(splats, column) != now[rows]).any(axis=tuple(range(1, now.ndim)))
+        mine = np.flatnonzero(differs)
+        return mine, self.frames(column, mine)
+
+    def frames(self, column: str, mine: NDArray[np.intp]) -> list[Seen]:
+        """Values [m, ...] of the rows ``mine`` [m] in each later frame, and which of them are still there."""
+        place = np.full(len(self.now[column]), -1)
+        place[mine] = np.arange(len(mine))
+        current, out = self.now[column][mine], []
+        for splats, rows, there in self._changes:
+            known = place[rows]
+            current = current.copy()
+            current[known[known >= 0]] = getattr(splats, column)[known >= 0]
+            out.append((current, there[mine]))
+        return out
+
+    def places(self, column: str, rows: NDArray[np.intp]) -> F32 | None:
+        """Where the splats of ``rows`` [m] are [m, 3], if changes of ``column`` count by how far neighbours have them
+        in common.
+        """
+        return self.now["means"][rows] if column == "log_scales" else None
 
 
 def _changes(ids: Ids, later: Sequence[Placed]) -> list[tuple[Splats, NDArray[np.intp], NDArray[np.bool_]]]:
@@ -100,37 +161,27 @@ def _changes(ids: Ids, later: Sequence[Placed]) -> list[tuple[Splats, NDArray[np
     return found
 
 
-def _lasting(
-    now: F32,
-    changes: Sequence[tuple[F32, NDArray[np.intp], NDArray[np.bool_]]],
-    effect: Effect,
-    most: float,
-    weight: F64,
-    *,
-    ease: float,
-    places: F32 | None,
-) -> tuple[F32, F64]:
-    """:func:`lasting` for one column ``now`` [n, ...], its ``changes`` and the opacities ``weight`` [n]: values, and
-    tolerances [n]. Without a tolerance (``most`` of 0) nothing but the present values will do. With ``places`` [n, 3]
-    changes count by how far neighbours have them in common.
+def _limits(now: F32, frames: Sequence[Seen], places: F32 | None, seen: Weighed, allowed: Allowed) -> F64:
+    """Tolerances [m] of values ``now`` [m, ...] that are those of ``frames`` later."""
+    effect, weight = seen
+    if allowed.effect <= 0 or not frames:
+        return np.full(len(now), allowed.effect)
+    limit = allowed.effect * _slack(now, frames, effect, weight / allowed.effect, allowed.ease)
+    return limit if places is None else limit / _in_common(frames[-1][0] - now, places)
+
+
+def _run(now: F32, frames: Sequence[Seen], seen: Weighed, limit: F64) -> tuple[F32, NDArray[np.intp]]:
+    """The value [m, ...] that stays within ``limit`` [m] of the value ``now`` and of those of the frames after it for
+    the largest number of frames, and that number [m].
     """
-    if most <= 0:
-        return now, np.zeros(len(now))
-    differs = np.zeros(len(now), bool)
-    for values, rows, _ in changes:
-        differs[rows] |= (values != now[rows]).any(axis=tuple(range(1, now.ndim)))
-    mine = np.flatnonzero(differs)
-    frames, weight = list(_frames(now, changes, mine)), weight[mine]
-    tolerance = np.full(len(now), most)
-    tolerance[mine] *= _slack(now[mine], frames, effect, weight / most, ease)
-    if places is not None and frames:
-        tolerance[mine] /= _in_common(frames[-1][0] - now[mine], places[mine])
-    limit = tolerance[mine]
-    low = high = total = now[mine].astype(np.float64)
-    count, within = np.ones(len(mine)), np.ones(len(mine), bool)
+    effect, weight = seen
+    low = high = total = now.astype(np.float64)
+    count, within = np.ones(len(now), np.intp), limit > 0
     for values, there in frames:
         lower, higher = np.minimum(low, values), np.maximum(high, values)
         within = within & there & (weight * effect((higher - lower) / 2) <= limit)
+        if not within.any():
+            break
         taken = _as_wide(within, now)
         low, high, total = (
             np.where(taken, lower, low),
@@ -139,27 +190,63 @@ def _lasting(
         )
         count += within
     mean = total / _as_wide(count, now)
-    fits = weight * effect(np.maximum(high - mean, mean - low)) <= limit
-    out = now.copy()
-    out[mine] = np.where(_as_wide(fits, now), mean, (low + high) / 2)
-    return out, tolerance
+    fits = (weight * effect(np.maximum(high - mean, mean - low)) <= limit) | (count == 1)
+    return np.where(_as_wide(fits, now), mean, (low + high) / 2).astype(np.float32), count
 
 
-def _frames(
-    now: F32, changes: Sequence[tuple[F32, NDArray[np.intp], NDArray[np.bool_]]], mine: NDArray[np.intp]
-) -> Iterator[tuple[F32, NDArray[np.bool_]]]:
-    """Values [m, ...] of the rows ``mine`` [m] in each later frame, and which of them are still there."""
-    place = np.full(len(now), -1)
-    place[mine] = np.arange(len(mine))
-    current = now[mine]
-    for values, rows, there in changes:
-        known = place[rows]
-        current = current.copy()
-        current[known[known >= 0]] = values[known >= 0]
-        yield current, there[mine]
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Values of one attribute in the decoder's copy."""
+
+    values: F32  # [m, ...]
+    noise: F64
+    """[m] visible effect of their quantisation."""
 
 
-def _slack(now: F32, frames: Sequence[tuple[F32, NDArray[np.bool_]]], effect: Effect, weight: F64, ease: float) -> F64:
+def segment(held: Held, now: F32, frames: Sequence[Seen], seen: Weighed, limit: F64) -> tuple[F32, U8]:
+    """The value [m, ...] to send in place of the one ``held``, and in how many frames [m] it is reached, so that the
+    attribute stays within ``limit`` [m] of its values ``now`` and in the ``frames`` after it for longest. The error of
+    the quantised value that a ramp leaves comes on top, and falls to zero with it.
+
+    Slopes of ramps are those of the line through the held value with the least squared error. Longer ramps are tried
+    where the next shorter one fits.
+    """
+    effect, weight = seen
+    value, lasts = _run(now, frames, seen, limit)
+    length = np.full(len(now), AT_ONCE, np.uint8)
+    coming = [(now, np.ones(len(now), bool)), *frames]
+    fits, start = limit > 0, held.values.astype(np.float64)
+    for frame_count in (count for count in RAMPS if count <= len(coming)):
+        rows = np.flatnonzero(fits & coming[frame_count - 1][1])
+        if not len(rows):
+            break
+        here, way = (effect, weight[rows]), [values[rows] - start[rows] for values, _ in coming]
+        steps = np.arange(1, frame_count + 1)
+        slope = sum(step * gone for step, gone in zip(steps, way[:frame_count], strict=True)) / np.square(steps).sum()
+        fitting = np.ones(len(rows), bool)
+        for step, gone in zip(steps, way[:frame_count], strict=True):
+            bound = limit[rows] + held.noise[rows] * (1 - step / frame_count)
+            fitting &= _within(step * slope - gone, here, bound)
+        reach, stays = np.where(fitting, frame_count, 0), fitting.copy()
+        for gone, (_, there) in zip(way[frame_count:], coming[frame_count:], strict=True):
+            stays &= there[rows] & _within(frame_count * slope - gone, here, limit[rows])
+            reach += stays
+        better = reach > lasts[rows]
+        chosen = rows[better]
+        value[chosen] = (start[rows] + frame_count * slope)[better]
+        lasts[chosen], length[chosen] = reach[better], frame_count
+        fits[:] = False
+        fits[rows[fitting]] = True
+    return value, length
+
+
+def _within(off: NDArray[Any], seen: Weighed, limit: F64) -> NDArray[np.bool_]:
+    effect, weight = seen
+    out: NDArray[np.bool_] = weight * effect(np.abs(off)) <= limit
+    return out
+
+
+def _slack(now: F32, frames: Sequence[Seen], effect: Effect, weight: F64, ease: float) -> F64:
     """Factor [m] of each tolerance for what changes fast, or is noise; ``weight`` [m] are in tolerances.
 
     Second differences of noise are larger than first differences; those of a trend are smaller. Noise of a quantised

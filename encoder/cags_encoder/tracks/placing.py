@@ -26,10 +26,10 @@ LOOKS = ("log_scales", "logit_opacities", "sh0", "sh_rest")
 
 @dataclass(frozen=True, eq=False)
 class Told:
-    """What is coded of splats [n] that look different."""
+    """What is coded of the new splats [b] of a frame, and how exactly others [n] have to look that look different."""
 
     splats: Splats
-    """With the largest opacity of what fades, and looks that last."""
+    """[b] with the largest opacity of what fades, and looks that last."""
     wrong: Mapping[str, F64]
     """Column of splats -> visible effect [n] of the largest error of the decoder's copy without an update."""
 

@@ -76,6 +76,10 @@ class SplatTable:
             self._arrays[name][ids] = array
         self.alive[ids] = True
 
+    def set(self, column: str, ids: NDArray[np.integer], values: F32) -> None:
+        """Set one ``column`` of ``ids``, which are known."""
+        self._arrays[column][ids] = values
+
     def holds(self, ids: Ids) -> NDArray[np.bool_]:
         """Whether each of ``ids`` is alive."""
         out = np.zeros(len(ids), bool)

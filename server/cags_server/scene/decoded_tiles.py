@@ -29,7 +29,7 @@ from cags_common.splats import Ids, Splats
 from cags_common.store.motions import LooksValue, UpdateValues
 from cags_common.store.tile_decode import First, Key, Opened, OpenMotion, OpenTile, OpenUpdate, Sphere
 from cags_common.tiles.kinds import TileKind
-from cags_common.tiles.updates import UpdateState
+from cags_common.tiles.updates import Change, UpdateState
 
 T = TypeVar("T")
 U = TypeVar("U")
@@ -59,7 +59,7 @@ class Decoded:
         elif isinstance(value, Chunk):
             arrays = [array for array in (value.moves, value.turns, value.lives, value.fades) if array is not None]
         else:
-            arrays = [array for pair in value.values() for array in pair]
+            arrays = [array for change in value.values() for array in (change.ids, change.values, change.frames)]
         kept = self.state.nbytes if isinstance(self.state, MotionTile) else DECODER_SPLAT_BYTES * len(self.state)
         return sum(array.nbytes for array in arrays) + kept
 
@@ -239,8 +239,8 @@ class SharedUpdate(SharedTile):
     ids: Ids = np.zeros(0, np.int32)
     """None: they are checked when the update is read."""
 
-    def values(self) -> dict[str, tuple[NDArray[np.intp], F32]]:
-        """Column of splats -> (ids [m], values [m, ...]) at the levels there are."""
+    def values(self) -> dict[str, Change]:
+        """Column of splats -> change, at the levels there are."""
         value = self._value()
         assert isinstance(value, dict)
         return value

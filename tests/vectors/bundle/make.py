@@ -20,8 +20,9 @@ from cags_common.bundle.manifest import VERSION, Manifest
 from cags_common.tiles.attributes import ATTRIBUTE_DIMS
 from cags_common.tiles.lod import LodLayer
 from cags_common.tiles.payloads import PositionGrid, encode_base, encode_layer
+from cags_common.tiles.ramps import LONGEST_RAMP
 from cags_common.tiles.svq import Codebook, CodebookSet
-from cags_common.tiles.updates import UpdateState, encode_update
+from cags_common.tiles.updates import RAMP_COLUMNS, Change, UpdateState, encode_update
 
 SPLATS = 21
 STAGES = {
@@ -96,7 +97,8 @@ def update(codebooks: CodebookSet) -> list[bytes]:
     rows = np.arange(SPLATS)
     changed = {"scale": rows % 3 == 0, "rotation": rows < 0, "alpha": rows > 4, "sh0": rows % 2 == 1, "sh1": rows == 2}
     codes = {b.attribute: random.integers(0, 1 << sum(b.layer_bits), SPLATS).astype(np.uint32) for b in codebooks}
-    return list(encode_update(ids, changed, codes, codebooks, manifest(codebooks).lod_order))
+    frames = {c: random.integers(1, LONGEST_RAMP + 1, SPLATS).astype(np.uint8) for c in RAMP_COLUMNS}
+    return list(encode_update(ids, changed, codes, codebooks, manifest(codebooks).lod_order, frames))
 
 
 def _values(info: Manifest, codebooks: bytes, payloads: list[bytes]) -> list[dict[str, dict[str, str]]]:
@@ -107,9 +109,17 @@ def _values(info: Manifest, codebooks: bytes, payloads: list[bytes]) -> list[dic
     for first, end in pairwise((0, 1, len(payloads))):
         for lod in range(max(first, 1), end):
             state.add_layer(lod, payloads[lod])
-        values = state.values().items()
-        out.append({c: {"ids": _text(i.astype("<i4").tobytes()), "rows": _text(v.tobytes())} for c, (i, v) in values})
+        changes = state.values().items()
+        out.append({column: _change(change) for column, change in changes})
     return out
+
+
+def _change(change: Change) -> dict[str, str]:
+    return {
+        "ids": _text(change.ids.astype("<i4").tobytes()),
+        "rows": _text(change.values.tobytes()),
+        "frames": _text(change.frames.tobytes()),
+    }
 
 
 def _decoded(info: Manifest, codebooks: bytes, tile: list[bytes]) -> list[dict[str, str]]:

@@ -69,8 +69,10 @@ def test_a_recorded_update_decodes_as_recorded() -> None:
 def check_update(state: UpdateState, expected: dict[str, dict[str, str]]) -> None:
     values = state.values()
     assert values.keys() == expected.keys()
-    for column, (ids, rows) in values.items():
-        assert ids.astype("<i4").tobytes() == raw(expected[column]["ids"])
+    for column, change in values.items():
+        rows = change.values
+        assert change.ids.astype("<i4").tobytes() == raw(expected[column]["ids"])
+        assert change.frames.tobytes() == raw(expected[column]["frames"])
         wanted = np.frombuffer(raw(expected[column]["rows"]), "<f4").reshape(rows.shape)
         assert np.abs(rows - wanted).max(initial=0) <= (LOGIT_TOLERANCE if column == "logit_opacities" else 0), column
 

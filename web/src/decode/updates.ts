@@ -7,8 +7,10 @@ import { decodeIds, type PackedCodes, packedBytes, unpackInto } from "./packing.
 import { alphaLogit, type Column, SH_REST_ATTRIBUTES } from "./splats.ts";
 import { decodeLayer, MAX_TILE_SPLATS } from "./tiles.ts";
 
-export const UPDATE_VERSION = 3;
-const HEAD_BYTES = 16;
+export const UPDATE_VERSION = 5;
+/** Largest number of frames in which an update reaches its value. */
+export const LONGEST_RAMP = 16;
+const HEAD_BYTES = 20;
 const PLAIN: ReadonlyMap<string, Column> = new Map([
   ["scale", "log_scales"], ["opacity", "logit_opacities"], ["alpha", "logit_opacities"], ["sh0", "sh0"],
 ]);
@@ -17,8 +19,20 @@ const PLAIN: ReadonlyMap<string, Column> = new Map([
 export const UPDATE_COLUMNS = ["log_scales", "logit_opacities", "sh0", "sh_rest"] as const;
 export type UpdateColumn = (typeof UPDATE_COLUMNS)[number];
 
-/** Column -> ids [m] and values [m, ...]. */
-export type UpdateValues = ReadonlyMap<UpdateColumn, { readonly ids: Int32Array; readonly values: Float32Array }>;
+/** Those that may reach their value in more than one frame. */
+export const RAMP_COLUMNS = ["log_scales", "sh0", "sh_rest"] as const;
+export type RampColumn = (typeof RAMP_COLUMNS)[number];
+
+/** Attributes that may; bands of harmonics change together. */
+const RAMPED: readonly string[] = ["scale", "sh0", SH_REST_ATTRIBUTES[0]!];
+
+/** New values of one column: ids [m], values [m, ...], and in how many frames [m] each is reached. */
+export interface Change {
+  readonly ids: Int32Array;
+  readonly values: Float32Array;
+  readonly frames: Uint8Array;
+}
+export type UpdateValues = ReadonlyMap<UpdateColumn, Change>;
 
 /** An update as far as it has come; layers may come in any order. */
 export class UpdateTile {
@@ -28,6 +42,8 @@ export class UpdateTile {
   private readonly order: readonly LodLayer[];
   /** Attribute -> ids of the splats of which it changed. */
   private readonly changed: Map<string, Int32Array>;
+  /** Attribute -> in how many frames each change is made. */
+  private readonly frames: Map<string, Uint8Array>;
   private codes: Map<string, Uint32Array>;
   private depth: Map<string, number>;
   private waiting = new Map<string, PackedCodes>();
@@ -36,11 +52,12 @@ export class UpdateTile {
   constructor(payload: Uint8Array, books: ReadonlyMap<string, Codebook>, order: readonly LodLayer[]) {
     this.books = books;
     this.order = order;
-    const { ids, attributes, maskBytes, rest } = readIds(payload);
+    const { ids, attributes, masks, ramps, codes } = readParts(payload);
     if (attributes !== books.size) throw new DecodeError(`update: has ${attributes} attributes, the codebooks ${books.size}`);
     this.ids = ids;
-    this.changed = readMasks(rest.subarray(0, maskBytes), ids, books);
-    this.codes = readCodes(rest.subarray(maskBytes), this.changed, books);
+    this.changed = readMasks(masks, ids, books);
+    this.frames = readRamps(ramps, this.changed);
+    this.codes = readCodes(codes, this.changed, books);
     this.depth = new Map([...books.keys()].map((name) => [name, 1]));
   }
 
@@ -93,21 +110,21 @@ export class UpdateTile {
 
   /** What changes, at the depths there are. */
   values(): UpdateValues {
-    const out = new Map<UpdateColumn, { ids: Int32Array; values: Float32Array }>();
+    const out = new Map<UpdateColumn, Change>();
     for (const [name, book] of this.books) {
       const column = PLAIN.get(name) as UpdateColumn | undefined;
       const codes = this.codes.get(name)!;
       if (!column || !codes.length) continue;
       let values = book.lookup(codes, this.depth.get(name)!);
       if (name === "alpha") values = values.map(alphaLogit);
-      out.set(column, { ids: this.changed.get(name)!, values });
+      out.set(column, { ids: this.changed.get(name)!, values, frames: this.frames.get(name)! });
     }
     const bands = SH_REST_ATTRIBUTES.filter((name) => this.books.has(name));
     if (bands.length && this.codes.get(bands[0]!)!.length) out.set("sh_rest", this.harmonics(bands));
     return out;
   }
 
-  private harmonics(bands: readonly string[]): { ids: Int32Array; values: Float32Array } {
+  private harmonics(bands: readonly string[]): Change {
     const parts = bands.map((name) => this.books.get(name)!.lookup(this.codes.get(name)!, this.depth.get(name)!));
     const dims = bands.map((name) => this.books.get(name)!.dim);
     const width = dims.reduce((a, b) => a + b, 0);
@@ -119,7 +136,7 @@ export class UpdateTile {
       for (let i = 0; i < count; i++) values.set(part.subarray(i * dim, (i + 1) * dim), i * width + offset);
       offset += dim;
     });
-    return { ids: this.changed.get(bands[0]!)!, values };
+    return { ids: this.changed.get(bands[0]!)!, values, frames: this.frames.get(bands[0]!)! };
   }
 
   private absorb(name: string): boolean {
@@ -139,17 +156,29 @@ export class UpdateTile {
   }
 }
 
-function readIds(payload: Uint8Array): { ids: Int32Array; attributes: number; maskBytes: number; rest: Uint8Array } {
+interface Parts {
+  readonly ids: Int32Array;
+  readonly attributes: number;
+  readonly masks: Uint8Array;
+  readonly ramps: Uint8Array;
+  readonly codes: Uint8Array;
+}
+
+function readParts(payload: Uint8Array): Parts {
   if (payload.length < HEAD_BYTES) throw new DecodeError(`update: ${payload.length} bytes are too few`);
   const v = new DataView(payload.buffer, payload.byteOffset, HEAD_BYTES);
-  const [version, attributes] = [v.getUint8(0), v.getUint8(1)];
-  const [splats, idBytes, maskBytes] = [v.getUint32(4, true), v.getUint32(8, true), v.getUint32(12, true)];
-  if (version !== UPDATE_VERSION || splats > MAX_TILE_SPLATS || idBytes + maskBytes > payload.length - HEAD_BYTES) {
-    throw new DecodeError(`update: version ${version}, ${splats} splats, ${idBytes} bytes of ids; beyond bounds`);
+  const [version, attributes, splats] = [v.getUint8(0), v.getUint8(1), v.getUint32(4, true)];
+  const sizes = [8, 12, 16].map((at) => v.getUint32(at, true));
+  const [idBytes, maskBytes, rampBytes] = sizes as [number, number, number];
+  if (version !== UPDATE_VERSION || splats > MAX_TILE_SPLATS || idBytes + maskBytes + rampBytes > payload.length - HEAD_BYTES) {
+    const told = `[${sizes.join(", ")}] bytes of ids, masks and ramps`;
+    throw new DecodeError(`update: version ${version}, ${splats} splats, ${told}; beyond bounds`);
   }
-  const ids = decodeIds(payload.subarray(HEAD_BYTES, HEAD_BYTES + idBytes), "update's ids");
+  let at = HEAD_BYTES;
+  const [idList, masks, ramps] = [idBytes, maskBytes, rampBytes].map((size) => payload.subarray(at, (at += size)));
+  const ids = decodeIds(idList!, "update's ids");
   if (ids.length !== splats) throw new DecodeError(`update: has ${ids.length} ids for ${splats} splats`);
-  return { ids, attributes, maskBytes, rest: payload.subarray(HEAD_BYTES + idBytes) };
+  return { ids, attributes, masks: masks!, ramps: ramps!, codes: payload.subarray(at) };
 }
 
 function readMasks(data: Uint8Array, ids: Int32Array, books: ReadonlyMap<string, Codebook>): Map<string, Int32Array> {
@@ -179,4 +208,16 @@ function readCodes(
     unpackInto({ data: packed.subarray(at, (at += sizes[i]!)), bits: book.layerBits[0]! }, codes);
     return [book.attribute, codes];
   }));
+}
+
+function readRamps(data: Uint8Array, changed: ReadonlyMap<string, Int32Array>): Map<string, Uint8Array> {
+  const out = new Map([...changed].map(([name, ids]) => [name, new Uint8Array(ids.length).fill(1)]));
+  if (!data.length) return out;
+  const ramped = [...out].filter(([name]) => RAMPED.includes(name));
+  const told = unsqueeze(data, ramped.reduce((sum, [, frames]) => sum + frames.length, 0), "update: ramps");
+  const most = told.reduce((a, b) => Math.max(a, b), 0);
+  if (most >= LONGEST_RAMP) throw new DecodeError(`update: a ramp of ${most + 1} frames; ${LONGEST_RAMP} are the most`);
+  let at = 0;
+  for (const [name, frames] of ramped) out.set(name, told.subarray(at, (at += frames.length)).map((count) => count + 1));
+  return out;
 }

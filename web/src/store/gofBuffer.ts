@@ -126,7 +126,8 @@ export class GofBuffer {
     if (this.rewound) touched.fill(1);
     this.rewound = false;
     for (const [f, { removed }] of ends) change(this.buffer.remove(f, removed), f);
-    for (const staged of updates) change(this.show(staged), frameOf(staged.held.key));
+    for (const staged of updates) change(this.show(staged, frame), frameOf(staged.held.key));
+    this.buffer.ramp(frame, (row, since) => change([row], since));
     for (const rows of this.buffer.move(frame)) for (const row of rows) touched[row] ||= 2;
     this.forgetPast(frame, updates.length + ends.length > 0);
     const rows = where(touched, 1);
@@ -138,8 +139,8 @@ export class GofBuffer {
     return gathered(this.buffer.move(time), this.buffer.capacity);
   }
 
-  /** The rows that change by it; motion changes none before all of it is evaluated. */
-  private show(staged: Staged): Iterable<number> {
+  /** The rows that change by it at `time`; nothing moves before all of it is applied. */
+  private show(staged: Staged, time: number): Iterable<number> {
     if ("splats" in staged) return this.showLooks(staged);
     const { held } = staged;
     held.shownLod = staged.lod;
@@ -148,7 +149,7 @@ export class GofBuffer {
     if ("values" in staged) {
       staged.held.idsOf = new Map([...staged.values].map(([column, { ids }]) => [column, ids]));
       top = this.manifest.lods - 1;
-      rows = this.buffer.update(frameOf(held.key), staged.values);
+      rows = this.buffer.update(frameOf(held.key), staged.values, time);
     } else if (staged.held.versions) {
       this.buffer.setMotion(staged.held.looks, frameOf(held.key), staged.chunk);
     }

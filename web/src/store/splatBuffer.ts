@@ -5,11 +5,14 @@
 import type { BufferPool } from "../bytes/pool.ts";
 import type { Kernels } from "../decode/kernels.ts";
 import { SH_REST_OF_DEGREE, type Splats, WIDTHS } from "../decode/splats.ts";
-import { UPDATE_COLUMNS, type UpdateColumn, type UpdateValues } from "../decode/updates.ts";
+import {
+  type Change, RAMP_COLUMNS, type RampColumn, UPDATE_COLUMNS, type UpdateColumn, type UpdateValues,
+} from "../decode/updates.ts";
 import { ABSENT_LOGIT, endOf, endsAll, moveRows, MovingTile } from "../motion/apply.ts";
 import type { Chunk } from "../motion/chunk.ts";
 import type { StoredLooks } from "./storedTiles.ts";
 import { type Key, tileOf } from "./keys.ts";
+import { Ramps } from "./ramps.ts";
 
 const MOVING = ["means", "quats", "logit_opacities"] as const;
 type Moving = (typeof MOVING)[number];
@@ -77,6 +80,7 @@ export class SplatBuffer {
   private removedAt!: Int32Array;
   private seen!: Uint8Array; // all zeros but within a call
   private updated!: Record<UpdateColumn, Int32Array>;
+  private readonly ramps: Record<RampColumn, Ramps> = { log_scales: new Ramps(), sh0: new Ramps(), sh_rest: new Ramps() };
 
   /** `onReplaced` hears of each tile of which nothing is shown any more. */
   constructor(kernels: Kernels, capacity: number, shDegree: number, onReplaced: (slot: StoredLooks) => void) {
@@ -134,6 +138,7 @@ export class SplatBuffer {
     this.column("logit_opacities").fill(ABSENT_LOGIT);
     this.stillColumn("logit_opacities").fill(ABSENT_LOGIT);
     for (const rows of [this.owners!, this.sources, this.removedAt, ...Object.values(this.updated)]) rows.fill(-1);
+    for (const ramps of Object.values(this.ramps)) ramps.clear();
     for (const motion of this.motions.values()) {
       motion.shown = undefined;
       motion.dirty = true;
@@ -222,12 +227,16 @@ export class SplatBuffer {
       const still = isMoving(name) ? this.stillColumn(name) : undefined;
       const base = still ?? target;
       const updated = isUpdatable(name) ? this.updated[name] : undefined;
+      const ramps = isRamped(name) ? this.ramps[name] : undefined;
       for (let k = 0; k < rows.length; k++) {
         const row = rows[k]!;
         const [to, from] = [row * width, chosen[k]! * width];
         if (!updated || updated[row]! < slot.frame) {
           for (let d = 0; d < width; d++) base[to + d] = values[from + d]!;
           if (updated) updated[row] = -1;
+          ramps?.drop(row);
+        } else {
+          ramps?.standOn(row, slot.frame, values.slice(from, from + width));
         }
         if (still && !moving) for (let d = 0; d < width; d++) target[to + d] = still[to + d]!;
       }
@@ -259,27 +268,28 @@ export class SplatBuffer {
 
   // ------------------------------------------------------------------------------------------------------------ updates
 
-  /** Take an update of media frame `frame`; the rows that changed, each once. */
-  update(frame: number, values: UpdateValues): Int32Array {
+  /** Take an update of media frame `frame` into what is shown at `time` (media frames); the rows that changed, each once. Ramps
+   * that `time` has not passed are shown by {@link ramp}. */
+  update(frame: number, values: UpdateValues, time: number): Int32Array {
     this.made();
     const rows = new Int32Array([...values.values()].reduce((sum, { ids }) => sum + ids.length, 0));
     let count = 0;
-    for (const [column, { ids, values: all }] of values) {
-      const chosen = this.chosen(frame, column, ids);
+    for (const [column, change] of values) {
+      const chosen = this.chosen(frame, column, change.ids);
       for (const i of chosen) {
-        const id = ids[i]!;
+        const id = change.ids[i]!;
         if (this.owners![id]! >= 0 && !this.seen[id]) rows[count++] = id;
         this.seen[id] = 1;
       }
-      this.takeColumn(frame, column, { ids, chosen, all });
+      if (isRamped(column)) this.takeRamps(frame, column, change, chosen, time);
+      else this.takeColumn(frame, column, change, chosen);
     }
     for (const { ids } of values.values()) for (const id of ids) this.seen[id] = 0;
     return rows.subarray(0, count);
   }
 
-  private takeColumn(
-    frame: number, column: UpdateColumn, { ids, chosen, all }: { ids: Int32Array; chosen: Int32Array; all: Float32Array },
-  ): void {
+  /** An update of what motion changes too. */
+  private takeColumn(frame: number, column: UpdateColumn, { ids, values }: Change, chosen: Int32Array): void {
     const [target, width, updated, owners] = [this.column(column), this.width(column), this.updated[column], this.owners!];
     const still = isMoving(column) ? this.stillColumn(column) : undefined;
     const touched = new Set<number>();
@@ -287,15 +297,56 @@ export class SplatBuffer {
       const id = ids[i]!;
       updated[id] = frame;
       if (still) {
-        for (let d = 0; d < width; d++) still[id * width + d] = all[i * width + d]!;
+        for (let d = 0; d < width; d++) still[id * width + d] = values[i * width + d]!;
         if (owners[id]! < 0) continue;
         touched.add(owners[id]!);
       }
-      for (let d = 0; d < width; d++) target[id * width + d] = all[i * width + d]!; // what is in motion is evaluated once more
+      for (let d = 0; d < width; d++) target[id * width + d] = values[i * width + d]!; // in motion: evaluated once more
     }
     for (const index of touched) {
       const motion = this.motions.get(this.slots[index]!.key);
       if (motion) motion.updated = true;
+    }
+  }
+
+  /** An update of what may be on its way to its value. */
+  private takeRamps(frame: number, column: RampColumn, change: Change, chosen: Int32Array, time: number): void {
+    const { ids, values, frames } = change;
+    const [target, width, updated, ramps] = [this.column(column), this.width(column), this.updated[column], this.ramps[column]];
+    let next = 0;
+    for (let i = 0; i < ids.length; i++) {
+      const id = ids[i]!;
+      const taken = chosen[next] === i;
+      if (!taken) {
+        if (this.sources[id]! <= frame && this.removedAt[id]! <= frame) {
+          ramps.precede(id, frame, values.slice(i * width, (i + 1) * width));
+        }
+        continue;
+      }
+      next++;
+      const since = updated[id]!;
+      updated[id] = frame;
+      const value = values.subarray(i * width, (i + 1) * width);
+      if (frame + frames[i]! > time + 1) {
+        const kept = value.slice();
+        if (ramps.refine(id, frame, kept)) continue;
+        const from = ramps.end(id) ?? target.slice(id * width, (id + 1) * width);
+        ramps.put(id, frame, frames[i]!, from, kept, since);
+      } else {
+        ramps.drop(id);
+        target.set(value, id * width);
+      }
+    }
+  }
+
+  /** Show attributes that are on their way as they are at `time` (media frames), and tell of each row that changed and the media
+   * frame of its update. */
+  ramp(time: number, tell: (row: number, began: number) => void): void {
+    this.made();
+    for (const name of RAMP_COLUMNS) {
+      this.ramps[name].at(time, this.column(name), this.width(name), (id, began) => {
+        if (this.owners![id]! >= 0) tell(id, began);
+      });
     }
   }
 
@@ -310,13 +361,15 @@ export class SplatBuffer {
     return out.subarray(0, count);
   }
 
-  /** Whether the update of `frame` of columns' `idsOf` is the newest for any splat that is there or may come; with `shown`:
-   * for any that is there at the time shown. */
+  /** Whether the update of `frame` of columns' `idsOf` is the newest for any splat that is there or may come, or a ramp begins at
+   * it; with `shown`: for any that is there at the time shown. */
   uses(frame: number, idsOf: ReadonlyMap<string, Int32Array>, shown = false): boolean {
     const logits = this.column("logit_opacities");
     for (const [column, ids] of idsOf) {
       const updated = this.updated[column as UpdateColumn];
+      const ramps = isRamped(column) ? this.ramps[column] : undefined;
       const used = ids.some((id) => {
+        if (ramps?.follows(id, frame)) return true;
         if (updated[id] !== frame || this.removedAt[id]! > frame) return false;
         return !shown || (this.owners![id]! >= 0 && logits[id]! > ABSENT_LOGIT);
       });
@@ -385,6 +438,10 @@ export class SplatBuffer {
 
 function isMoving(name: string): name is Moving {
   return (MOVING as readonly string[]).includes(name);
+}
+
+function isRamped(name: string): name is RampColumn {
+  return (RAMP_COLUMNS as readonly string[]).includes(name);
 }
 
 function isUpdatable(name: string): name is UpdateColumn {

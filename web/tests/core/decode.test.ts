@@ -56,8 +56,10 @@ for (const { name, payloads, decoded } of bundle.tiles) {
 test("an update has the recorded values", () => {
   const [first, ...layers] = bundle.update.payloads.map(fromBase64);
   const update = codec.open(first!) as UpdateTile;
-  const values = (): Record<string, { ids: string; rows: string }> => Object.fromEntries(
-    [...update.values()].map(([column, { ids, values: rows }]) => [column, { ids: text(ids), rows: text(rows) }]),
+  const values = (): Record<string, { ids: string; rows: string; frames: string }> => Object.fromEntries(
+    [...update.values()].map(([column, { ids, values: rows, frames }]) => [
+      column, { ids: text(ids), rows: text(rows), frames: text(frames) },
+    ]),
   );
   const sorted = (one: object): unknown => Object.fromEntries(Object.entries(one).sort());
   assert.deepEqual(sorted(values()), sorted(bundle.update.values[0]!));

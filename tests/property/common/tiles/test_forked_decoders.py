@@ -28,7 +28,7 @@ def values(state: AnyTile) -> list[np.ndarray]:
         chunk: Chunk = state.chunk
         return [part.copy() for part in (chunk.moves, chunk.turns, chunk.lives, chunk.fades) if part is not None]
     if isinstance(state, UpdateState):
-        return [array for pair in state.values().values() for array in pair]
+        return [array for change in state.values().values() for array in (change.ids, change.values, change.frames)]
     return [state.ids, *(array for _, array in state.dequantise().arrays())]
 
 
