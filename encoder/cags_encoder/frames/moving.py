@@ -252,7 +252,8 @@ class MovingGroups:
         held, axes = self._held.take(ids), self._axes[ids]
         weight = np.maximum(drawn(held.logit_opacities), drawn(true.logit_opacities))
         wrong = _effects(held, true, np.take_along_axis(true.log_scales, axes, axis=1), weight)
-        over = {name: wrong[name] > told.wrong[column] for name, column in COLUMNS.items()}
+        noise = {name: self._noise[column][ids] for name, column in COLUMNS.items()}
+        over = {name: wrong[name] > noise[name] + told.wrong[column] for name, column in COLUMNS.items()}
         dim = np.abs(drawn(held.logit_opacities) - drawn(true.logit_opacities)) > SHARE * self._threshold
         rows = np.flatnonzero(np.logical_or.reduce([*over.values(), dim & ~self._fading[ids]]))
         if not len(rows):

@@ -10,8 +10,10 @@ All measures are relative to the splats, so the unit of length and the number of
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +24,9 @@ from cags_common.tiles.morton import morton_order
 from cags_encoder.tracks.rows import identical_rows
 
 Rows = NDArray[np.intp]
+
+Flow: TypeAlias = Callable[[F64, F64, F64, Rows], F64]
+"""How far splats [m, 3] move by those around them: see :func:`_field_at`."""
 
 USUAL, STRANGE = 90, 3.0
 """Percentile of the differences in looks of a pair of frames, and the multiple of it above which a link is strange."""
@@ -73,6 +78,11 @@ FLOW_POINTS, FLOW_NEIGHBOURS = 8192, 4
 FLOW_ROUNDS, COMPANIONS, EXPLAINED = 12, 16, 0.05
 """Largest number of rounds in which doubtful links are searched again, number of neighbours that predict the position,
 and distance from the prediction, as a share of the spacing, up to which a link is explained.
+"""
+
+FIELD_ROUNDS, FIELD_RIDGE, FIELD_HOLDS = 3, 1e-3, 0.5
+"""Rounds in which outliers lose their weight in a linear field, share of the weights that holds its slopes at zero
+where points lie on a plane, and factor by which it has to reduce the distances from the median.
 """
 
 BENDS = 0.7
@@ -131,13 +141,14 @@ class Tracks:
     looks: Looks
     velocities: F64  # [n, 3] a frame
     bends: F64  # [n, 3] by how much the velocity was another in the frame before; 0 where there was none
+    turning: NDArray[np.bool_]  # [n] whether velocities of splats around here have changed as they did before
     ages: NDArray[np.int64]  # [n] frames before this one that the track has lived through
 
     @staticmethod
     def begun(looks: Looks) -> Tracks:
         """Tracks of a first frame."""
         still = np.zeros((len(looks), 3))
-        return Tracks(looks, still, still, np.zeros(len(looks), np.int64))
+        return Tracks(looks, still, still, np.zeros(len(looks), bool), np.zeros(len(looks), np.int64))
 
     def continued(self, after: Looks, rows: Rows) -> Tracks:
         """Tracks of the next frame, whose splats continue ``rows`` [m]; -1: a new track."""
@@ -149,7 +160,26 @@ class Tracks:
         ages[found] = self.ages[came] + 1
         old = ages > 1
         bends[old] = step[old] - self.velocities[rows[old]]
-        return Tracks(after, step, bends, ages)
+        return Tracks(after, step, bends, self._turning(after, bends, rows, ages), ages)
+
+    def _turning(self, after: Looks, bends: F64, rows: Rows, ages: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Where the ``bends`` of the next frame [m, 3] were told better by those of this one than by none: among
+        :data:`COMPANIONS` splats that lie together, by the medians.
+        """
+        out = np.zeros(len(after), bool)
+        order = after.order
+        order = order[ages[order] > 2]
+        order = order[np.any(bends[order] != 0, axis=1)]
+        groups = len(order) // COMPANIONS
+        if not groups:
+            return out
+        together = order[: groups * COMPANIONS].reshape(groups, COMPANIONS)
+        even = np.linalg.norm(bends[together], axis=2)
+        bent = np.linalg.norm(bends[together] - self.bends[rows[together]], axis=2)
+        turning = np.median(bent, axis=1) < BENDS * np.median(even, axis=1)
+        out[together[turning]] = True
+        out[order[groups * COMPANIONS :]] = turning[-1]
+        return out
 
     def predicted(self) -> F64:
         """Where each splat is to be looked for in the next frame [n, 3]."""
@@ -230,7 +260,7 @@ class _Linking:
         if self._open() and self._search_by_looks():
             self._search_by_flow()
         if not self._by_rows:
-            self._settle_by_flow(expected)
+            self._settle(expected)
         rows = by_row[self._free[by_row] & (self.rows[by_row] < 0)]
         self._link(rows, rows)
         self._part_strangers(expected)
@@ -238,15 +268,16 @@ class _Linking:
 
     def _expected(self) -> F64:
         """Where the splats of the frame before are looked for [n, 3]: their velocities change as they did before,
-        where a sample shows that this is nearer than velocities that stay.
+        where that was so in the frame before, or where a sample shows that this is nearer than velocities that stay.
         """
         even, bends = self._tracks.predicted(), self._tracks.bends
+        turning = even + bends * self._tracks.turning[:, None]
         sample = np.flatnonzero(self._tracks.ages > 1)
         sample = sample[:: max(1, len(sample) // SAMPLE)]
         if len(sample) <= CANDIDATES or not bends.any():
             return even
         away = [np.median(self._field.near(e[sample], 1)[0]) for e in (even, even + bends)]
-        return even + bends if away[1] < BENDS * away[0] else even
+        return even + bends if away[1] < BENDS * away[0] else turning
 
     def _part_strangers(self, expected: F64) -> None:
         """Undo links of splats whose looks changed more than is usual for this pair of frames, and that are neither at
@@ -265,7 +296,7 @@ class _Linking:
             place, _ = self._apart(came[strange], linked[strange], expected)
             strange = strange[place > STRANGE_PLACE]
         if len(strange):
-            expected = self._moved_by_others(linked, came[strange])
+            expected = self._moved_by_others(linked, came[strange], _field_at)
             place, _ = self._apart(came[strange], linked[strange], expected)
             strange = strange[place > STRANGE_PLACE]
         self._free[came[strange]] = True
@@ -327,10 +358,15 @@ class _Linking:
         means = self._after.means[:: max(1, len(self._after) // SAMPLE)]
         return float(np.median(self._local(self._field.near(means, CANDIDATES)[0])))
 
-    def _search(self, expected: F64, candidates: int = CANDIDATES) -> None:
-        """Link those that are each other's best continuation, and then those of the rest."""
+    def _search(self, expected: F64, candidates: int = CANDIDATES, *, among: NDArray[np.bool_] | None = None) -> None:
+        """Link those that are each other's best continuation, and then those of the rest; with ``among`` [n] only such
+        of the frame before.
+        """
         before, after = self._before.order, self._after.order
-        before, after = before[self._free[before]], after[self.rows[after] < 0]
+        free = self._free if among is None else self._free & among
+        before, after = before[free[before]], after[self.rows[after] < 0]
+        if not len(before) or not len(after):
+            return
         field = self._field if len(after) == len(self._after) else _Field(self._after.means, after)
         distances, found = field.near(expected[before], candidates)
         if field is not self._field:
@@ -383,39 +419,61 @@ class _Linking:
         self._search(expected)
         return True
 
-    def _settle_by_flow(self, expected: F64) -> None:
-        """Look again, where their neighbours went, for splats that neither their own way nor that of their neighbours
-        explains: what moves by as much as its splats lie apart is first linked with the wrong ones, at the edge of
-        what is linked rightly. As long as this explains more of them.
+    def _settle(self, expected: F64) -> None:
+        """Look again for splats that neither their own way nor that of their neighbours explains: what moves by as much
+        as its splats lie apart is first linked with the wrong ones, at the edge of what is linked rightly. Neighbours
+        say by the median where a splat went, and then, as long as that explains more, by a linear field.
         """
-        unit = max(self._spacing, TINY)
+        linked = np.flatnonzero((self.rows >= 0) & self._changed)
+        came = self.rows[linked[self._off(linked, expected) > EXPLAINED]]
+        if len(came) <= FLOW_NEIGHBOURS:
+            return
+        free = np.flatnonzero(self._free)
+        pool, moving = np.union1d(came, free), np.union1d(self.rows[linked], free)
+        around = _Field(self._before.means, moving).near(self._before.means[pool], COMPANIONS + 1)[1]
+        for flow, again in ((_middle_of, True), (_field_at, False)):
+            self._settle_by(flow, expected, _Pool(pool, around, again))
+
+    def _settle_by(self, flow: Flow, expected: F64, pool: _Pool) -> None:
+        """Search for splats of the ``pool`` where ``flow`` says, as long as this explains more of them."""
         best, kept = np.inf, self.rows.copy()
-        for _ in range(FLOW_ROUNDS):
+        off = np.zeros(len(self._before))
+        news = np.ones(len(self._before), bool)  # whose link has changed in the last round
+        for number in range(FLOW_ROUNDS):
+            touched = pool.near(news)
+            of_pool = np.zeros(len(self._before), bool)
+            of_pool[pool.rows] = True
             linked = np.flatnonzero((self.rows >= 0) & self._changed)
-            came = self.rows[linked]
-            own = np.linalg.norm(self._after.means[linked] - expected[came], axis=1) / unit
-            doubtful = np.flatnonzero(own > EXPLAINED)
-            if len(doubtful) <= FLOW_NEIGHBOURS:
-                return
-            flow = self._moved_by_others(linked, came[doubtful])
-            off = np.linalg.norm(self._after.means[linked[doubtful]] - flow[came[doubtful]], axis=1) / unit
-            lost = doubtful[off > EXPLAINED]
+            mine = linked[of_pool[self.rows[linked]]]
+            own = self._off(mine, expected)
+            off[self.rows[mine[own <= EXPLAINED]]] = 0.0
+            stale = mine[(own > EXPLAINED) & touched[self.rows[mine]]]
+            off[self.rows[stale]] = self._off(stale, self._moved_by_others(linked, self.rows[stale], flow))
+            lost = mine[off[self.rows[mine]] > EXPLAINED]
             left = len(lost) + int(self._free.sum())
             if left >= best:
-                self.rows = kept
                 break
-            best, kept = left, self.rows.copy()
-            self.rows[linked[lost]] = -1
-            self._free[came[lost]] = True
-            if self._open():
-                rows = np.flatnonzero(self._free)
-                self._search(self._moved_by_others(np.flatnonzero(self.rows >= 0), rows))
-            if self._open():
-                self._search(expected)
+            best, kept, before = left, self.rows.copy(), self._free.copy()
+            self._free[self.rows[lost]] = True
+            self.rows[lost] = -1
+            wanted = self._free & ((touched if number or pool.again else ~before) | ~before)
+            among = np.flatnonzero(wanted)
+            if len(among):
+                self._search(self._moved_by_others(np.flatnonzero(self.rows >= 0), among, flow), among=wanted)
+            self._search(expected, among=wanted)
+            news = _came_differently(kept, self.rows, len(news))
+        self.rows = kept
         self._free[:] = True
         self._free[self.rows[self.rows >= 0]] = False
 
-    def _moved_by_others(self, linked: Rows, rows: Rows) -> F64:
+    def _off(self, after: Rows, expected: F64) -> F64:
+        """How far the splats of ``after`` [m] are from where those that they continue are ``expected`` [n, 3], in
+        distances between neighbours.
+        """
+        off: F64 = np.linalg.norm(self._after.means[after] - expected[self.rows[after]], axis=1)
+        return off / max(self._spacing, TINY)
+
+    def _moved_by_others(self, linked: Rows, rows: Rows, flow: Flow) -> F64:
         """Places of all splats of the frame before [n, 3], ``rows`` of them moved as the :data:`COMPANIONS` nearest
         of the ``linked`` did, themselves aside.
         """
@@ -429,7 +487,8 @@ class _Linking:
         near = cKDTree(expected[came]).query(expected[rows], k=k, workers=1)[1].reshape(len(rows), k)
         own = came[near] == rows[:, None]
         last = np.where(own.any(axis=1)[:, None], near[:, -1:], near[:, -2:-1] if k > 1 else near[:, -1:])
-        expected[rows] += np.median(moved[np.where(own, last, near)], axis=1)
+        near = np.where(own, last, near)[:, :-1] if k > 1 else near
+        expected[rows] += flow(expected[rows], expected[came], moved, near)
         return expected
 
     def _moved_with(self, linked: Rows, rows: Rows) -> F64:
@@ -439,6 +498,31 @@ class _Linking:
         moved = self._after.means[linked] - expected[came]
         expected[rows] += _flow(expected[rows], self._before.means[came], moved)
         return expected
+
+
+@dataclass(frozen=True, eq=False)
+class _Pool:
+    """Splats of the frame before whose links are doubtful, or that have none."""
+
+    rows: Rows  # [m]
+    around: Rows  # [m, k] their neighbours
+    again: bool
+    """Whether those without a link are searched for at once, and not only when a link near them has changed."""
+
+    def near(self, news: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Mask [n] of the pool's splats that are ``news`` [n] or have such neighbours."""
+        out = np.zeros(len(news), bool)
+        out[self.rows] = news[self.rows] | news[self.around].any(axis=1)
+        return out
+
+
+def _came_differently(before: Rows, now: Rows, count: int) -> NDArray[np.bool_]:
+    """Mask [count] of the rows that are linked otherwise ``now`` than ``before`` [n]."""
+    out = np.zeros(count, bool)
+    for rows in (before, now):
+        changed = rows[before != now]
+        out[changed[changed >= 0]] = True
+    return out
 
 
 class _Field:
@@ -468,6 +552,36 @@ def _mutual(scores: F64, found: Rows, count: int) -> tuple[Rows, Rows]:
     first = np.unique(theirs[pairs], return_index=True)[1]  # of equals one
     pairs = pairs[first]
     return pairs, theirs[pairs]
+
+
+def _middle_of(places: F64, points: F64, moved: F64, near: Rows) -> F64:
+    """As :func:`_field_at`, the median alone."""
+    middle: F64 = np.median(moved[near], axis=1)
+    return middle
+
+
+def _field_at(places: F64, points: F64, moved: F64, near: Rows) -> F64:
+    """How far splats at ``places`` [m, 3] move if they go with those of ``points`` [n, 3], which ``moved`` [n, 3], that
+    are ``near`` [m, k] each: the value of a linear field, where one holds for them, otherwise the median.
+
+    Points that agree with the others weigh more in the field.
+    """
+    apart, values = points[near] - places[:, None], moved[near]
+    middle = np.median(values, axis=1)
+    unit = np.sqrt(np.square(apart).sum(axis=2).mean(axis=1))[:, None, None]
+    design = np.concatenate([np.ones((*near.shape, 1)), apart / np.maximum(unit, TINY)], axis=2)
+    ridge = FIELD_RIDGE * near.shape[1] * np.diag([0.0, 1.0, 1.0, 1.0])
+    before = off = np.linalg.norm(values - middle[:, None], axis=2)
+    fit = np.zeros((len(places), 4, 3))
+    for _ in range(FIELD_ROUNDS):
+        usual = np.median(off, axis=1, keepdims=True)
+        weighted = design * (1 / (1 + np.square(off / np.maximum(2 * usual, TINY))))[..., None]
+        normal = np.einsum("mki,mkj->mij", weighted, design) + ridge
+        fit = np.linalg.solve(normal, np.einsum("mki,mkc->mic", weighted, values))
+        off = np.linalg.norm(values - np.einsum("mki,mic->mkc", design, fit), axis=2)
+    holds = np.median(off, axis=1) < FIELD_HOLDS * np.median(before, axis=1)
+    out: F64 = np.where(holds[:, None], fit[:, 0], middle)
+    return out
 
 
 def _flow(places: F64, points: F64, velocities: F64, *, others: bool = False) -> F64:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cags_common.splats import Splats
-from cags_encoder.tracks.linking import Looks, Tracks, link
+from cags_encoder.tracks.linking import Looks, Tracks, _field_at, link
 from support.codec_scenes import cloud, with_changes
 from support.tracked_clips import TrueFrame, disguised, linked
 
@@ -198,3 +198,48 @@ def test_neighbours_that_change_their_looks_and_move_together_are_no_strangers()
     after = Splats.concatenate([rest, turned])
     order = np.random.default_rng(0).permutation(len(after))
     assert np.mean(links(before, after.take(order)) == order) >= 0.99
+
+
+def rolling(frames: int, turn: float, step: float, seed: int = 2) -> list[TrueFrame]:
+    """A shuffled ball of alike splats that turns by ``turn`` radians a frame and goes on by ``step`` of its radius."""
+    rng = np.random.default_rng(seed)
+    out: list[TrueFrame] = []
+    n = 900
+    at = np.arange(n) + 0.5
+    height, angle = 1 - 2 * at / n, at * np.pi * (1 + 5**0.5)  # Fibonacci's sphere: neighbours are about 0.12 apart
+    wide = np.sqrt(1 - height**2)
+    ball = np.stack([wide * np.cos(angle), height, wide * np.sin(angle)], axis=1)
+    splats = cloud(n, 1, 0)
+    alike_ones = with_changes(
+        splats,
+        log_scales=np.full((n, 3), np.log(0.05), np.float32),
+        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
+        sh0=np.zeros((n, 3), np.float32),
+    )
+    for frame in range(frames):
+        c, s = np.cos(turn * frame), np.sin(turn * frame)
+        turned = ball @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T + [step * frame, 0, 0]
+        order = rng.permutation(n)
+        out.append((with_changes(alike_ones, means=turned.astype(np.float32)).take(order), order))
+    return out
+
+
+@pytest.mark.parametrize(("turn", "step"), [(0.08, 0.0), (0.08, 0.2), (0.1, 0.2)])
+def test_a_ball_of_alike_splats_that_rolls_past_their_spacing_keeps_them(turn: float, step: float) -> None:
+    score = linked(rolling(9, turn, step))
+    assert score.found >= 0.99
+    assert score.false <= 0.002
+
+
+def test_a_linear_field_is_taken_where_one_holds_and_the_median_elsewhere() -> None:
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-1, 1, (400, 3))
+    places = rng.uniform(-0.8, 0.8, (50, 3))
+    near = np.argsort(np.linalg.norm(points[None] - places[:, None], axis=2), axis=1)[:, :16]
+    turn = np.array([[0.0, -0.4, 0.1], [0.4, 0.0, 0.0], [-0.1, 0.0, 0.0]])
+    moved = points @ turn.T + [1.0, 0, 0]
+    moved[rng.permutation(400)[:40]] += rng.normal(size=(40, 3))  # a tenth is linked wrongly
+    found = _field_at(places, points, moved, near)
+    assert np.median(np.linalg.norm(found - (places @ turn.T + [1.0, 0, 0]), axis=1)) < 0.01
+    noise = rng.normal(size=(400, 3))
+    assert np.allclose(_field_at(places, points, noise, near), np.median(noise[near], axis=1))
