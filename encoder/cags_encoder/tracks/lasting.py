@@ -56,9 +56,6 @@ FASTER = 4.0
 USUAL_DB = 53.0
 """PSNR of looks with every level at which the tolerance depends on the speed alone: that of a room."""
 
-BEST_DB = 65.0
-"""PSNR at which ladders of levels end. Better looks do not make an error more visible."""
-
 ALONE, RUN = 0.5, 16
 """Weight of a change of scales that a splat's neighbours do not have in common, and how many are compared: what some
 splats lose in size others gain. Random errors of scales change pictures a quarter as much as those of colours, but with
@@ -71,7 +68,7 @@ NOISE_STEPS = 1.5
 
 def ease_of(psnr_db: float | None) -> float:
     """Factor of the tolerances of what changes fast, for looks of this PSNR with every level; None: not measured."""
-    return 1.0 if psnr_db is None else 10 ** ((USUAL_DB - min(psnr_db, BEST_DB)) / 30)
+    return 1.0 if psnr_db is None else 10 ** ((USUAL_DB - psnr_db) / 30)
 
 
 @dataclass(frozen=True)

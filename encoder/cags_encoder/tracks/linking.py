@@ -85,6 +85,11 @@ FIELD_ROUNDS, FIELD_RIDGE, FIELD_HOLDS = 3, 1e-3, 0.5
 where points lie on a plane, and factor by which it has to reduce the distances from the median.
 """
 
+APART, LEAST_APART = 4.0, 0.3
+"""Multiple of the usual distance of steps from the median of those around them, and distance in spacings, from which
+on a step is doubtful, even if it is as its own track's velocity says.
+"""
+
 BENDS = 0.7
 """Velocities are extrapolated if that reduces the distance to the predicted positions by this factor."""
 
@@ -425,27 +430,29 @@ class _Linking:
         say by the median where a splat went, and then, as long as that explains more, by a linear field.
         """
         linked = np.flatnonzero((self.rows >= 0) & self._changed)
-        came = self.rows[linked[self._off(linked, expected) > EXPLAINED]]
+        apart = self._apart_from_neighbours(linked)
+        came = self.rows[linked[apart | (self._off(linked, expected) > EXPLAINED)]]
+        suspect = np.zeros(len(self._before), bool)
+        suspect[self.rows[linked[apart]]] = True
         if len(came) <= FLOW_NEIGHBOURS:
             return
         free = np.flatnonzero(self._free)
         pool, moving = np.union1d(came, free), np.union1d(self.rows[linked], free)
         around = _Field(self._before.means, moving).near(self._before.means[pool], COMPANIONS + 1)[1]
         for flow, again in ((_middle_of, True), (_field_at, False)):
-            self._settle_by(flow, expected, _Pool(pool, around, again))
+            self._settle_by(flow, expected, _Pool(pool, around, again, suspect))
 
     def _settle_by(self, flow: Flow, expected: F64, pool: _Pool) -> None:
-        """Search for splats of the ``pool`` where ``flow`` says, as long as this explains more of them."""
-        best, kept = np.inf, self.rows.copy()
-        off = np.zeros(len(self._before))
-        news = np.ones(len(self._before), bool)  # whose link has changed in the last round
-        for number in range(FLOW_ROUNDS):
-            touched = pool.near(news)
-            of_pool = np.zeros(len(self._before), bool)
-            of_pool[pool.rows] = True
+        """Search for splats of the ``pool`` where ``flow`` says, as long as this explains more of them. After the first
+        round only those are looked at whose link, or one near them, has changed.
+        """
+        best, kept, off = np.inf, self.rows.copy(), np.zeros(len(self._before))
+        touched = pool.mask(np.ones(len(off), bool))
+        searched = touched if pool.again else np.zeros(len(off), bool)
+        for _ in range(FLOW_ROUNDS):
             linked = np.flatnonzero((self.rows >= 0) & self._changed)
-            mine = linked[of_pool[self.rows[linked]]]
-            own = self._off(mine, expected)
+            mine = linked[pool.holds(self.rows[linked])]
+            own = np.where(pool.suspect[self.rows[mine]], np.inf, self._off(mine, expected))
             off[self.rows[mine[own <= EXPLAINED]]] = 0.0
             stale = mine[(own > EXPLAINED) & touched[self.rows[mine]]]
             off[self.rows[stale]] = self._off(stale, self._moved_by_others(linked, self.rows[stale], flow))
@@ -453,18 +460,40 @@ class _Linking:
             left = len(lost) + int(self._free.sum())
             if left >= best:
                 break
-            best, kept, before = left, self.rows.copy(), self._free.copy()
-            self._free[self.rows[lost]] = True
+            best, kept = left, self.rows.copy()
+            wanted = self._free & searched
+            wanted[self.rows[lost]] = self._free[self.rows[lost]] = True
             self.rows[lost] = -1
-            wanted = self._free & ((touched if number or pool.again else ~before) | ~before)
-            among = np.flatnonzero(wanted)
-            if len(among):
-                self._search(self._moved_by_others(np.flatnonzero(self.rows >= 0), among, flow), among=wanted)
+            places = self._moved_by_others(np.flatnonzero(self.rows >= 0), np.flatnonzero(wanted), flow)
+            self._search(places, among=wanted)
             self._search(expected, among=wanted)
-            news = _came_differently(kept, self.rows, len(news))
+            touched = searched = pool.mask(_linked_otherwise(kept, self.rows, len(off)))
         self.rows = kept
         self._free[:] = True
         self._free[self.rows[self.rows >= 0]] = False
+
+    def _apart_from_neighbours(self, linked: Rows) -> NDArray[np.bool_]:
+        """Mask of the links of ``linked`` [m] whose steps are far from the median of those around them, which agree: of
+        a patch that is linked one splat off, frame after frame, the edge.
+        """
+        out = np.zeros(len(linked), bool)
+        order = np.argsort(self._place[self.rows[linked]], kind="stable")
+        groups = len(order) // COMPANIONS
+        if not groups:
+            return out
+        together = linked[order[: groups * COMPANIONS]].reshape(groups, COMPANIONS)
+        steps = self._after.means[together] - self._before.means[self.rows[together]]
+        off = np.linalg.norm(steps - np.median(steps, axis=1, keepdims=True), axis=2)
+        usual = np.median(off, axis=1, keepdims=True)
+        out[order[: groups * COMPANIONS]] = (off > np.maximum(APART * usual, LEAST_APART * self._spacing)).ravel()
+        return out
+
+    @cached_property
+    def _place(self) -> Rows:
+        """Where each splat of the frame before stands in the order of neighbours."""
+        out = np.empty(len(self._before), np.intp)
+        out[self._before.order] = np.arange(len(out))
+        return out
 
     def _off(self, after: Rows, expected: F64) -> F64:
         """How far the splats of ``after`` [m] are from where those that they continue are ``expected`` [n, 3], in
@@ -480,7 +509,7 @@ class _Linking:
         from scipy.spatial import cKDTree
 
         came, expected = self.rows[linked], self._before.means.copy()
-        if not len(came):
+        if not len(came) or not len(rows):
             return expected
         moved = self._after.means[linked] - expected[came]
         k = min(COMPANIONS + 1, len(came))
@@ -504,19 +533,26 @@ class _Linking:
 class _Pool:
     """Splats of the frame before whose links are doubtful, or that have none."""
 
-    rows: Rows  # [m]
+    rows: Rows  # [m] ascending
     around: Rows  # [m, k] their neighbours
     again: bool
-    """Whether those without a link are searched for at once, and not only when a link near them has changed."""
+    """Whether those without a link are searched for in the first round, too."""
+    suspect: NDArray[np.bool_]
+    """[n] whose own way explains nothing."""
 
-    def near(self, news: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Mask [n] of the pool's splats that are ``news`` [n] or have such neighbours."""
-        out = np.zeros(len(news), bool)
-        out[self.rows] = news[self.rows] | news[self.around].any(axis=1)
+    def holds(self, rows: Rows) -> NDArray[np.bool_]:
+        """Mask of the ``rows`` that belong to the pool."""
+        held: NDArray[np.bool_] = np.isin(rows, self.rows)
+        return held
+
+    def mask(self, of: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Mask [n] of the pool's splats that are ``of`` the mask [n], or have neighbours that are."""
+        out = np.zeros(len(of), bool)
+        out[self.rows] = of[self.rows] | of[self.around].any(axis=1)
         return out
 
 
-def _came_differently(before: Rows, now: Rows, count: int) -> NDArray[np.bool_]:
+def _linked_otherwise(before: Rows, now: Rows, count: int) -> NDArray[np.bool_]:
     """Mask [count] of the rows that are linked otherwise ``now`` than ``before`` [n]."""
     out = np.zeros(count, bool)
     for rows in (before, now):
