@@ -8,7 +8,7 @@ within the tolerance for much longer than any value does.
 
 The number of updates is ``speed / tolerance``, and the squared error grows with the square of the tolerance. An error
 also matters less the larger the looks' own error is. The total cost is smallest where tolerances grow with the cube
-root of speed times the squared error of the looks.
+root of speed times the squared error of the looks, times the bytes of an update.
 """
 
 from __future__ import annotations
@@ -163,7 +163,7 @@ def _limits(now: F32, frames: Sequence[Seen], places: F32 | None, seen: Weighed,
     effect, weight = seen
     if allowed.effect <= 0 or not frames:
         return np.full(len(now), allowed.effect)
-    limit = allowed.effect * _slack(now, frames, effect, weight / allowed.effect, allowed.ease)
+    limit = allowed.effect * _slack(now, frames, effect, weight / allowed.effect, allowed.ease) * _price(now, frames)
     return limit if places is None else limit / _in_common(frames[-1][0] - now, places)
 
 
@@ -264,6 +264,17 @@ def _slack(now: F32, frames: Sequence[Seen], effect: Effect, weight: F64, ease: 
     noise = (bent > gone) & (gone > NOISE_STEPS * largest) & (again > frames_there / 2)
     slack: F64 = np.where(noise, FASTER, np.clip(ease * np.cbrt(gone / 2), 1.0, FASTER))
     return slack
+
+
+def _price(now: F32, frames: Sequence[Seen]) -> float:
+    """Factor of tolerances for values ``now`` [m, ...] of which many are equal, and change alike: the same codes take
+    few bytes. With the information in a change, the best tolerance falls by its cube root.
+    """
+    if len(now) < 2:
+        return 1.0
+    both = np.concatenate([values.reshape(len(now), -1) for values in (now, frames[-1][0])], axis=1, dtype=np.float64)
+    mixed = both @ np.random.default_rng(0).normal(size=both.shape[1])
+    return float(np.cbrt((1 + np.log2(len(np.unique(mixed)))) / (1 + np.log2(len(now)))))
 
 
 def _in_common(change: F32, places: F32) -> F64:

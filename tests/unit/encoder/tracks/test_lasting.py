@@ -30,6 +30,9 @@ from cags_encoder.tracks.placing import Placed, Told
 
 N, MOST = 6, 0.01
 OPAQUE = 30.0
+HUES = np.arange(N)[:, None] * np.array([0.0, 0.0, 0.1])
+SIZES = np.arange(N)[:, None] * np.ones(3)
+"""What tells the splats apart: changes of splats that are the same in everything are cheap."""
 
 
 def splats(sh0: np.ndarray, **columns: np.ndarray) -> Splats:
@@ -63,8 +66,8 @@ def told_of(now: Splats, ids: np.ndarray, later: Sequence[Placed], most: float, 
 
 
 def grey(effect: float | np.ndarray) -> np.ndarray:
-    """Colours [N, 3] with a visible effect of ``effect`` relative to zero."""
-    return np.broadcast_to(np.asarray(effect, float).reshape(-1, 1) / SH_C0, (N, 3))
+    """Colours [N, 3] with a visible effect of ``effect`` relative to :data:`HUES`."""
+    return HUES + np.broadcast_to(np.asarray(effect, float).reshape(-1, 1) / SH_C0, (N, 3))
 
 
 def test_what_drifts_is_told_as_the_middle_of_what_it_will_be() -> None:
@@ -74,7 +77,7 @@ def test_what_drifts_is_told_as_the_middle_of_what_it_will_be() -> None:
     assert np.all(tolerance > MOST)
     lasts = sum(step <= 2 * tolerance[0] + 1e-9 for step in steps)
     assert np.allclose(told.splats.sh0, grey(np.mean(steps[:lasts])), atol=1e-6)
-    assert SH_C0 * np.abs(told.splats.sh0).max() <= tolerance[0] + 1e-6
+    assert SH_C0 * np.abs(told.splats.sh0 - HUES).max() <= tolerance[0] + 1e-6
 
 
 def test_what_changes_fast_is_told_more_exactly_the_better_the_looks_are() -> None:
@@ -94,8 +97,8 @@ def test_sizes_that_change_alone_may_be_further_off_than_those_that_change_toget
     alone = random.normal(size=(N, 3))
     wrong = {}
     for name, step in {"together": np.ones((N, 3)), "alone": alone, "one": np.eye(N)[:, :1] * np.ones(3)}.items():
-        later = frames([splats(grey(0), log_scales=MOST * step)])
-        told = told_of(splats(grey(0)), np.arange(N), later, MOST)
+        later = frames([splats(grey(0), log_scales=SIZES + MOST * step)])
+        told = told_of(splats(grey(0), log_scales=SIZES), np.arange(N), later, MOST)
         wrong[name] = told.wrong["log_scales"]
         assert np.all(told.wrong["sh0"] == MOST), "colours count as before"
     assert np.allclose(wrong["together"], MOST)
@@ -189,6 +192,13 @@ def segments(
     seen = (EFFECTS["sh0"], np.ones(N))
     sent, lengths = segment(before, course[0].sh0, coming.frames("sh0", np.arange(N)), seen, np.full(N, limit))
     return SH_C0 * sent[:, 0], lengths
+
+
+def test_what_is_the_same_for_all_is_told_more_exactly() -> None:
+    step = 20 * MOST / SH_C0
+    apart = told_of(splats(grey(0)), np.arange(N), frames([splats(grey(0) + step)]), MOST).wrong["sh0"]
+    alike = told_of(splats(grey(0) - HUES), np.arange(N), frames([splats(grey(0) - HUES + step)]), MOST).wrong["sh0"]
+    assert np.allclose(alike, apart * np.cbrt(1 / (1 + np.log2(N))))
 
 
 def test_a_drift_is_sent_once_as_a_ramp() -> None:
