@@ -268,13 +268,15 @@ def _slack(now: F32, frames: Sequence[Seen], effect: Effect, weight: F64, ease: 
 
 def _price(now: F32, frames: Sequence[Seen]) -> float:
     """Factor of tolerances for values ``now`` [m, ...] of which many are equal, and change alike: the same codes take
-    few bytes. With the information in a change, the best tolerance falls by its cube root.
+    few bytes. With the information in a change, its entropy, the best tolerance falls by its cube root.
     """
     if len(now) < 2:
         return 1.0
     both = np.concatenate([values.reshape(len(now), -1) for values in (now, frames[-1][0])], axis=1, dtype=np.float64)
     mixed = both @ np.random.default_rng(0).normal(size=both.shape[1])
-    return float(np.cbrt((1 + np.log2(len(np.unique(mixed)))) / (1 + np.log2(len(now)))))
+    shares = np.unique(mixed, return_counts=True)[1] / len(now)
+    entropy = -float(np.sum(shares * np.log2(shares)))
+    return float(np.cbrt((1 + entropy) / (1 + np.log2(len(now)))))
 
 
 def _in_common(change: F32, places: F32) -> F64:

@@ -513,3 +513,42 @@ def test_a_picture_depends_on_the_motion_and_the_updates_of_what_it_shows(store:
     assert of.visible_lods(seen)[0, 1] == 1, "of its motion one level is there"
     seen[1] = 1.0
     assert of.visible_lods(seen).keys() == {(0, 0), (0, 1), (1, 0)}
+
+
+def ramped(ids: list[int], code: int, frames: int) -> TilePayloads:
+    """``ids`` reach another base colour in ``frames`` frames."""
+    n = len(ids)
+    return update(ids, {"sh0": np.ones(n, bool)}, {"sh0": np.full(n, code)}, np.full(n, frames))
+
+
+def colours(store: TileStore) -> np.ndarray:
+    """[LAST + 1, 3] of splat 0 in every frame."""
+    return np.stack([store.commit(frame)[0].splats.sh0[0].copy() for frame in range(LAST + 1)])
+
+
+def test_a_colour_is_on_its_way_for_as_long_as_the_update_says(store: TileStore) -> None:
+    send(store, 0, 0, looks([0, 1], 5))
+    send(store, 1, 0, ramped([0], 6, 2))
+    end_all(store)
+    seen = colours(store)
+    assert np.array_equal(seen[2], seen[3]) and not np.array_equal(seen[0], seen[3])
+    assert np.allclose(seen[1], (seen[0] + seen[3]) / 2)
+    assert store.commit(LAST)[1].rows.tolist() == [], "it has arrived"
+
+
+@pytest.mark.parametrize("late", [(0, 0), (1, 0)])
+def test_what_comes_late_shows_as_if_it_had_been_in_time(late: tuple[int, int]) -> None:
+    tiles = {(0, 0): looks([0, 1], 5), (1, 0): recoloured([0], 3), (2, 0): ramped([0], 6, 4)}
+    wanted, found = made(), made()
+    for key, tile in tiles.items():
+        send(wanted, *key, tile)
+        if key != late:
+            send(found, *key, tile)
+    end_all(wanted)
+    end_all(found)
+    for frame in (0, 1, 2):
+        found.commit(frame)
+    send(found, *late, tiles[late])
+    expected = colours(wanted)[LAST]
+    assert np.array_equal(found.commit(LAST)[0].splats.sh0[0], expected)
+    assert np.array_equal(colours(found)[LAST], expected), "also when it is shown again from the beginning"
