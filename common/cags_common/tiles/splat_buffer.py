@@ -168,7 +168,7 @@ class SplatBuffer:
         arrays = [made[name] for name in ("owner", "_source", "_removed_at") if name in made]
         arrays += [array for name in ("_still", "_updated") for array in made.get(name, {}).values()]
         arrays += [array for _, array in made["splats"].arrays()] if "splats" in made else []
-        return sum(array.nbytes for array in arrays)
+        return sum(held.nbytes for held in (*arrays, *made.get("_ramps", {}).values()))
 
     def add(self, slot: Slot) -> None:
         """Add a tile of looks before it is written; its index is ``len(self.slots)``."""

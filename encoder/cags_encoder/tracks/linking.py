@@ -432,10 +432,10 @@ class _Linking:
         linked = np.flatnonzero((self.rows >= 0) & self._changed)
         apart = self._apart_from_neighbours(linked)
         came = self.rows[linked[apart | (self._off(linked, expected) > EXPLAINED)]]
-        suspect = np.zeros(len(self._before), bool)
-        suspect[self.rows[linked[apart]]] = True
         if len(came) <= FLOW_NEIGHBOURS:
             return
+        suspect = np.zeros(len(self._before), bool)
+        suspect[self.rows[linked[apart]]] = True
         free = np.flatnonzero(self._free)
         pool, moving = np.union1d(came, free), np.union1d(self.rows[linked], free)
         around = _Field(self._before.means, moving).near(self._before.means[pool], COMPANIONS + 1)[1]
