@@ -160,9 +160,14 @@ class ReferenceCoder:
         self._target_bytes = 0.0  # of a picture that needs others; 0: not known
 
     @property
+    def may_compare(self) -> bool:
+        """Whether the mirror's render may be needed, now or later: the mirror has to know all that is sent."""
+        return DIFFERENCE in self.kinds
+
+    @property
     def compares(self) -> bool:
-        """Whether the mirror's render is needed: not of a client whose references often come late."""
-        return DIFFERENCE in self.kinds and not (PICTURE in self.kinds and self.lateness.often)
+        """Whether the mirror's render is needed now: not of a client whose references often come late."""
+        return self.may_compare and not (PICTURE in self.kinds and self.lateness.often)
 
     @property
     def kind(self) -> ReferenceKind | None:

@@ -87,7 +87,9 @@ class FrameJob:
     plan: FramePlan
     library: SceneLibrary
     mirror: Mirror | None
-    """None where references say nothing of what the client lacks."""
+    """None if no reference ever says what the client lacks."""
+    compares: bool
+    """Whether this one may say it; if not, the mirror only takes note of what was sent."""
     camera: Camera
     client: Intrinsics
     coder: ReferenceCoder
@@ -101,6 +103,8 @@ class FrameJob:
         """Do the work; ``clock_ns``, if given, times its parts."""
         clock = clock_ns or _no_clock
         started = clock()
+        if self.mirror is not None and not self.compares:
+            self.mirror.follow(self.plan.frame, self.plan.basis)
         footprint = Footprint.classic() if self.plain_footprint else self._footprint(self.camera)
         options = RenderOptions(footprint=footprint, depth=DepthKind.NONE, contribution=True, threads=self.threads)
         drawn, contribution = self._drawn(options) if self.plan.speaks else (None, self._seen_ahead(options))
@@ -146,26 +150,28 @@ class FrameJob:
 
     def _together(self, scene: RasterScene, options: RenderOptions) -> DrawnViews | None:
         """Truth and mirror, drawn and compared in one go by scenes that can; None: one after the other."""
-        if self.mirror is None or not isinstance(scene, ComparingScene):
-            return None
-        held = self.mirror.scene_at(self.plan.frame, self.plan.basis)
-        if held is None:
+        held = self._held() if isinstance(scene, ComparingScene) else None
+        if held is None or not isinstance(scene, ComparingScene):
             return None
         return scene.compared(held, self.camera, options, knee=self.coder.knee, looks=self.coder.looks)
 
     def _staged(self, drawn: RenderedView, options: RenderOptions) -> StagedViews:
         """The true view, and the view of the mirror from the same camera if there is one that holds splats."""
-        scene: RasterScene | None = None
-        if self.mirror is not None:
-            scene = self.mirror.scene_at(self.plan.frame, self.plan.basis)
+        scene = self._held()
         if scene is None:
             return StagedViews(drawn.rgb, None)
         held = scene.render(self.camera, replace(options, contribution=False, depth=DepthKind.EXPECTED))
         return StagedViews(drawn.rgb, held.rgb, held.depth)
 
+    def _held(self) -> RasterScene | None:
+        """What the client draws; None where it holds nothing, or is not compared with."""
+        if self.mirror is None or not self.compares:
+            return None
+        return self.mirror.scene_at(self.plan.frame, self.plan.basis)
+
     def _appeared(self, drawn: RenderedView | DrawnViews) -> Blocks | None:
         """Where splats are seen that have just appeared, and that the client's basis does not have yet."""
-        held = self.mirror.splats if self.mirror is not None else None
+        held = self.mirror.splats if self.mirror is not None and self.compares else None
         contribution = drawn.contribution
         if held is None or contribution is None or len(held) != len(contribution):
             return None

@@ -24,7 +24,12 @@ from cags_server.scene.decoded_tiles import SharedOpener
 from cags_server.scene.library import SceneLibrary
 
 MAX_LOG = 16_384
-"""Messages that wait for the next reference; past it those of groups of frames that nobody will see again go."""
+"""Messages that wait for the next reference; past it those of groups of frames that nobody will see again go, and ends
+of frames that have ended before.
+"""
+
+FOLLOWS_AT = 1_024
+"""Waiting messages from which on they are taken in although nothing is compared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,11 +126,20 @@ class Mirror:
                 self._most = len(self._log) + MAX_LOG
 
     def _forget_groups(self) -> None:
-        """Forget groups of frames that can no longer be displayed."""
+        """Forget groups of frames that can no longer be displayed, and repeated ends of frames."""
         gof_of = self._library.manifest.gof_of
         ended = max((gof_of(event.frame) for _, event in self._log if isinstance(event, _End)), default=0)
-        kept = [item for item in self._log if isinstance(item[1], _Restart) or gof_of(item[1].frame) >= ended - 1]
-        self._log = deque(kept)
+        kept: deque[tuple[int, _Event]] = deque()
+        ends: set[int] = set()
+        for mark, event in self._log:
+            if isinstance(event, _Restart):
+                ends.clear()
+            elif gof_of(event.frame) < ended - 1 or (isinstance(event, _End) and event.frame in ends):
+                continue
+            elif isinstance(event, _End):
+                ends.add(event.frame)
+            kept.append((mark, event))
+        self._log = kept
 
     # ------------------------------------------------------------------------------------------------------- job thread
 
@@ -142,6 +156,17 @@ class Mirror:
         store, committed = self._store.commit(frame)
         self._scene = self._updated(store, committed) if store.begun else None
         return self._scene
+
+    def follow(self, frame: int, basis: int) -> None:
+        """Take in what was sent by mark ``basis`` without a scene, if much of it waits: ``frame`` is displayed, and
+        nothing is compared. Raises as :meth:`scene_at`.
+        """
+        if len(self._log) < FOLLOWS_AT:
+            return
+        self._catch_up(basis)
+        if self._store.reaches(frame):
+            self._store.commit(frame)
+            self._scene = None
 
     @property
     def splats(self) -> Splats | None:

@@ -16,7 +16,7 @@ from cags_protocol import events as ev
 from cags_protocol.sessions.server import ServerSessionSettings
 from cags_protocol.sessions.tracing import EventTrace
 from cags_protocol.wire.inventory import unpack_inventory
-from cags_protocol.wire.messages import Buffer, Hello, RefusalCode
+from cags_protocol.wire.messages import Blob, Buffer, Hello, RefusalCode
 from cags_server.fov.limits import undrawable
 from cags_server.link import LinkState, MeasuredLink
 from cags_server.records import StreamStats
@@ -233,7 +233,7 @@ class Connection:
                 if isinstance(event, ev.Acknowledged):
                     self.session.rate_hint_bps = self._link.allowance_bps(now_us)
                 elif isinstance(event, ev.ControlReceived) and event.control.action == "seek":
-                    self.session.cancel(lambda _: True, now_us=now_us)
+                    self.session.cancel(lambda each: not isinstance(each.message, Blob), now_us=now_us)
                 self._queue_marks(self.streamer, now_us)
 
     def _enforce(self, broken: str | None, now_us: int) -> None:

@@ -54,7 +54,7 @@ class Startup:
 
     def __init__(self, library: SceneLibrary, tiles: TileSender) -> None:
         self.resumed = False
-        """Whether the client has the codebooks and the weights from an earlier session."""
+        """Whether the client has the codebooks from an earlier session."""
         self._library, self._tiles = library, tiles
         self._first_frame: FirstFrame | None = None
 
@@ -88,7 +88,8 @@ class Startup:
         return [ev.Outgoing(blob, chunk, BLOB_PRIORITY) for blob, chunk in chunks]
 
     def _weights(self) -> list[ev.Outgoing]:
-        if self.resumed or self._library.weights is None:
+        """For a client that resumes, too: nothing says whether they had come."""
+        if self._library.weights is None:
             return []
         chunks = blob_chunks(WEIGHTS_BLOB, self._library.weights)
         return [ev.Outgoing(blob, chunk, WEIGHTS_PRIORITY) for blob, chunk in chunks]

@@ -217,7 +217,7 @@ class Streamer:
         """A message was written completely."""
         self._left(outgoing)
         if isinstance(outgoing.message, TileLayers | FrameEnd):
-            if self._coder.compares:
+            if self._coder.may_compare:
                 self._mirror.sent(outgoing.message, outgoing.payload)
             if now_us - self._marked_us >= MARK_EVERY_US and self._coder.kind is not None:
                 self._mark(now_us)
@@ -236,17 +236,20 @@ class Streamer:
         self._planner.restart()
         self._dispatch.ends.clear()
         self._tiles.client_keeps = control.keeps
-        if control.action == "seek":
-            self._tiles.go_back(control.frame)
-            self._tiles.from_nothing = True
-            self._video.broken()
-            self._restart_if_forgotten(control.frame, now_us)
+        frame = self._schedule.timeline.frame  # within the clip
+        if control.action != "seek":
+            self._tiles.go_on(frame)
+            return
+        self._tiles.jump(frame)
+        self._tiles.from_nothing = True
+        self._video.broken()
+        self._restart_if_forgotten(frame, now_us)
 
     def _restart_if_forgotten(self, frame: int, now_us: int) -> None:
         """The client must discard everything: tell it, and reset the mirror."""
         if self._tiles.forgotten:
             self._tiles.forgotten = False
-            self._mirror.restart(min(frame, self._library.manifest.frames - 1))
+            self._mirror.restart(frame)
             self._dispatch.arrivals.forget()
             self._mark(now_us, restart=True)
 
@@ -362,7 +365,8 @@ class Streamer:
         return FrameJob(
             plan=plan,
             library=self._library,
-            mirror=self._mirror if plan.speaks and self._coder.compares else None,
+            mirror=self._mirror if self._coder.may_compare else None,
+            compares=plan.speaks and self._coder.compares,
             camera=Camera(intrinsics, plan.predicted.pose, self._hello.near),
             client=self._hello.intrinsics,
             coder=self._coder,

@@ -116,19 +116,33 @@ class TileSender:
         return parts
 
     def enter(self, frame: int) -> None:
-        """A new group of frames has ids of its own, and the client forgets everything when the media starts again."""
+        """A new group of frames has ids of its own, and a client that keeps none forgets everything when the media
+        starts again.
+        """
         if self.ended is None:
             return
         left, entered = self._library.manifest.gof_of(self.ended), self._library.manifest.gof_of(frame)
-        if frame < self.ended:
-            self.go_back(frame)
-        elif left != entered:
-            frames = self._library.manifest.gof_frames(left)
-            self.inventory.keep(frames[0], frames[-1])
+        if frame >= self.ended:
+            if left != entered:
+                self.inventory.forget_before(self._library.gof_start(self.ended))
+        elif self.client_keeps and left == entered:
+            self.ended = None
+        else:
+            self.start_anew()
 
-    def go_back(self, frame: int) -> None:
-        """The media goes on from ``frame``: a client that keeps its group of frames still holds all it was sent."""
-        if self.client_keeps and self._group == self._library.manifest.gof_of(frame):
+    def go_on(self, frame: int) -> None:
+        """The viewer pauses, or plays on at another speed, at ``frame``, which is on display or comes next: the client
+        still holds everything, also of a group of frames that has been entered ahead of the display.
+        """
+        if self.ended is not None:
+            self.ended = min(self.ended, frame)
+
+    def jump(self, frame: int) -> None:
+        """The viewer jumps to ``frame``: a client that keeps the group of frames on display still holds it. That group
+        is the one entered last, or the one before.
+        """
+        groups = self._library.manifest.gof_of(frame), self._group
+        if self.client_keeps and groups[1] is not None and groups[1] - 1 <= groups[0] <= groups[1]:
             self.ended = None
         else:
             self.start_anew()

@@ -72,9 +72,9 @@ class ClientInventory:
         held = self._tiles.get((frame, tile))
         return 0 if held is None else held.delivered | held.travelling
 
-    def keep(self, first: int, last: int) -> None:
-        """Forget tiles of frames outside ``first`` .. ``last`` (both included)."""
-        for key in [key for key in self._tiles if not first <= key[0] <= last]:
+    def forget_before(self, first: int) -> None:
+        """Forget tiles of frames before ``first``."""
+        for key in [key for key in self._tiles if key[0] < first]:
             del self._tiles[key]
 
     def clear(self) -> None:

@@ -194,6 +194,44 @@ def test_what_waits_for_a_reference_is_forgotten_with_its_group(
     assert_same(mirror.splats, whole.splats)
 
 
+def test_ends_that_come_again_in_every_round_of_a_loop_do_not_pile_up(
+    library: SceneLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cags_server.reference.mirror.MAX_LOG", 20)
+    mirror = Mirror(library, threads=1)
+    mirror._most = 20
+    frames = library.manifest.gof_frames(0)
+    for frame in frames:
+        send(mirror, library, frame)
+    for _ in range(100):
+        for frame in frames:
+            end(mirror, library, frame)
+    once = len(frames) + sum(len(library.entry(frame).tiles) for frame in frames)
+    assert len(mirror._log) <= once + 40
+    mirror.scene_at(frames[-1], mirror.mark())
+    assert mirror.splats is not None
+    played = BundlePlayer(library.reader).frame(frames[-1])
+    assert_same(mirror.splats.take(played.ids), played.splats)
+
+
+def test_what_waits_is_taken_in_while_nothing_is_compared(
+    library: SceneLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cags_server.reference.mirror.FOLLOWS_AT", 3)
+    compared, followed = Mirror(library, threads=1), Mirror(library, threads=1)
+    for mirror in (compared, followed):
+        for frame in range(3):
+            send(mirror, library, frame)
+            end(mirror, library, frame)
+    followed.follow(1, followed.mark())
+    assert not followed._log
+    for mirror in (compared, followed):
+        mirror.scene_at(2, mirror.mark())
+    assert compared.splats is not None
+    assert followed.splats is not None
+    assert_same(compared.splats, followed.splats)
+
+
 def test_memory_is_that_of_the_splats_once_more_in_the_renderer(library: SceneLibrary) -> None:
     mirror = Mirror(library, threads=1)
     assert mirror.memory_bytes == 0

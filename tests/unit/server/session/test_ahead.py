@@ -131,7 +131,7 @@ def test_a_paused_viewer_gets_the_tiles_of_its_own_frame_and_then_of_the_next_on
     outs = [rig.step() for _ in range(4)]
     assert [of(ReferenceFrame, out)[0].frame for out in outs] == [2] * 4
     assert {record.ahead.frame for record in list(rig.streamer.stats.records)[1:]} == {2}
-    assert [ends(out) for out in outs] == [[0, 1, 2], [], [], []], "what it holds is ended again, and once"
+    assert not any(ends(out) for out in outs), "what it holds has ended"
     assert not any(mark.restart for mark in rig.marks)
     prepared = [frame for out in outs for frame, _ in first_levels(out)]
     assert set(prepared) == {4, 5}, "those of frame 3 it holds"

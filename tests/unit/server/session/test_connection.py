@@ -62,6 +62,17 @@ class Pair:
         return [event for event in self.events if isinstance(event, kind)]
 
 
+def test_a_jump_cancels_what_is_queued_but_for_codebooks_and_weights(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FakeReader, "codebooks", lambda _: bytes(3_000_000))
+    monkeypatch.setattr(FakeReader, "weights", lambda _: bytes(100_000))
+    pair = Pair()
+    pair.run(20)
+    assert not pair.of(ev.BlobReceived)
+    pair.client.control(Control("seek", 8, pair.now_us), now_us=pair.now_us)
+    pair.run(3000)
+    assert [(b.name, len(b.data)) for b in pair.of(ev.BlobReceived)] == [("codebooks", 3_000_000), ("weights", 100_000)]
+
+
 def test_a_client_joins_plays_to_the_end_and_leaves() -> None:
     pair = Pair()
     pair.run(100)
@@ -206,7 +217,8 @@ def test_a_lost_connection_ends_the_session() -> None:
     assert pair.connection.ending.code == "lost"
 
 
-def test_a_client_that_comes_back_is_not_sent_what_it_holds() -> None:
+def test_a_client_that_comes_back_is_not_sent_what_it_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FakeReader, "weights", lambda _: b"weights")
     pair = Pair()
     pair.run(100)
     name = pair.of(ev.Welcomed)[0].welcome.session
@@ -214,6 +226,7 @@ def test_a_client_that_comes_back_is_not_sent_what_it_holds() -> None:
     again.run(100)
     assert again.of(ev.Welcomed)[0].welcome.resumed
     assert {t.message.tile for t in again.of(ev.TileReceived)} == {3}
+    assert [b.name for b in again.of(ev.BlobReceived)] == ["weights"], "which may not have come before"
     assert again.of(ev.FrameEnded)[0].message == FrameEnd(0)
 
 

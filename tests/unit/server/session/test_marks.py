@@ -10,6 +10,7 @@ import pytest
 from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol import events as ev
 from cags_protocol.wire.messages import FrameEnd, Mark, ReferenceFrame, TileLayers
+from cags_server.reference.lateness import PATIENCE
 from cags_server.session.streamer import MARK_EVERY_US
 from support.server_scene import SETTINGS, FakeReader, hello, library
 from support.streamer_rig import Rig, of
@@ -170,3 +171,25 @@ def test_marks_are_made_in_the_order_in_which_they_are_to_be_written() -> None:
         rig.send([each for each in rig.opening if isinstance(each.message, TileLayers)][:1])
     assert all(isinstance(mark, Mark) for mark in rig.marks)
     assert all(b.number == a.number + 1 for a, b in pairwise(rig.marks))
+
+
+def test_the_mirror_knows_what_was_sent_while_references_came_late_and_nothing_was_compared() -> None:
+    """Comparing then began again with a mirror that lacked it, and differences spoilt pictures that were right."""
+    rig = Rig(replace(SETTINGS, references="auto"))
+    rig.play()
+    coder, mirror = rig.streamer._coder, rig.streamer._mirror
+    for _ in range(10):
+        coder.lateness.observe(late=True)
+    assert not coder.compares
+    for _ in range(5):
+        rig.step()
+    for _ in range(PATIENCE):
+        coder.lateness.observe(late=False)
+    assert coder.compares
+    assert mirror.scene_at(5, mirror.mark()) is not None
+    assert mirror.splats is not None
+    held = {key: rig.streamer._tiles.inventory.depth(*key) for key in ((0, 0), (0, 1), (5, 0))}
+    assert {key: depth for key, depth in held.items() if not depth} == {}
+    store = mirror._store.on_display
+    assert store is not None
+    assert {(tile.frame, tile.tile): tile.lods for tile in store.held()}.items() >= held.items()

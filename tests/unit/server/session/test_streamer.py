@@ -243,6 +243,30 @@ def test_a_seek_voids_what_is_being_rendered_and_starts_from_nothing() -> None:
     assert of(ReferenceFrame, out)[0].idr
 
 
+@pytest.mark.parametrize("action", ["pause", "rate"])
+@pytest.mark.parametrize("keeps", [True, False])
+def test_a_viewer_who_pauses_just_before_another_group_holds_what_was_sent_of_both(action: str, keeps: bool) -> None:
+    rig = Rig(replace(SETTINGS, tiles_ahead=3))
+    rig.play()
+    sent = [tile for _ in range(4) for tile in of(TileLayers, rig.step())]
+    assert {tile.frame for tile in sent} >= {5, 6}, "the next group has been entered"
+    rig.control(action, 4, 466_667, keeps=keeps)
+    again = [tile for _ in range(3) for tile in of(TileLayers, rig.step())]
+    rig.control("play", 4, 900_000, keeps=keeps)
+    again += [tile for _ in range(5) for tile in of(TileLayers, rig.step())]
+    assert not any(mark.restart for mark in rig.marks)
+    layers = [(tile.frame, tile.tile, lod) for tile in sent + again for lod in range(tile.from_lod, tile.to_lod)]
+    assert len(layers) == len(set(layers)), "nothing is sent twice"
+
+
+def test_a_jump_beyond_the_clip_goes_to_its_last_frame() -> None:
+    rig = Rig()
+    rig.play()
+    rig.step()
+    rig.control("seek", 10**6, 400_000, keeps=True)
+    assert of(FrameEnd, rig.step())[-1].frame == 11
+
+
 def test_a_paused_viewer_still_gets_references_and_detail() -> None:
     rig = Rig()
     rig.play()

@@ -40,7 +40,7 @@ def test_evictions_and_forgetting() -> None:
     inventory.reduced(1, 2, 2)
     inventory.reduced(5, 5, 0)  # never held: nothing happens
     assert inventory.depth(1, 2) == 2
-    inventory.keep(5, 10)
+    inventory.forget_before(5)
     assert (inventory.depth(1, 2), inventory.depth(9, 2)) == (0, 6)
     inventory.clear()
     assert len(inventory) == 0
