@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+import logging
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
+
+from cags_common.runtime.rare_log import RareLog
+
+MAX_NOTICES = 16
+"""Notices that are remembered, the newest; and most that are logged at once, then there is one a second."""
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(eq=False)
@@ -34,7 +43,15 @@ class PlayStats:
     """Dropped connections that were taken up again."""
     away_us: int = 0
     """Time without a session, in all."""
-    notices: list[str] = field(default_factory=list)
+    notices: deque[str] = field(default_factory=lambda: deque(maxlen=MAX_NOTICES))
+    """What the viewer has been told, each once."""
+    _told: RareLog = field(default_factory=lambda: RareLog(log, burst=MAX_NOTICES))
+
+    def notice(self, text: str) -> None:
+        """Tell the viewer, on the log, unless he has been told."""
+        if text not in self.notices:
+            self.notices.append(text)
+            self._told.write(logging.WARNING, "notice", "%s", text)
 
 
 class Stopwatch:

@@ -120,7 +120,7 @@ class StreamStats:
 
 @dataclass
 class Totals:
-    """Sums over all sessions that have ended; :meth:`with_live` adds those that go on."""
+    """Sums over sessions: :meth:`add` counts one in, one that has ended or one that goes on."""
 
     sessions: int = 0
     frames: int = 0

@@ -39,6 +39,18 @@ def check_hosts(text: str) -> None:
             )
 
 
+def check_token(text: str) -> None:
+    """Raise :class:`ConfigError` for a list of tokens of which one is empty, or that no client can show."""
+    strange = next((c for c in text if not c.isprintable()), None)
+    if strange is not None:
+        raise ConfigError(
+            f"token has the character U+{ord(strange):04X}, which cannot be printed; give --token on one line, without "
+            "control characters"
+        )
+    if text and not all(part.strip() for part in text.split(",")):
+        raise ConfigError("token has an empty part, which would let everybody in; separate tokens by one comma")
+
+
 @dataclass(frozen=True)
 class ServerSettings:
     """What a server does for each client."""
@@ -202,8 +214,7 @@ class ServeSettings(ServerSettings):
             )
         check_origins(self.origins)
         check_hosts(self.hosts)
-        if self.token and not all(part.strip() for part in self.token.split(",")):
-            raise ConfigError("token has an empty part, which would let everybody in; separate tokens by one comma")
+        check_token(self.token)
         if self.accept_uploads and not self.token and (self.hosts or not is_loopback(self.host)):
             raise ConfigError(
                 f"accept_uploads: others reach {self.hosts or self.host}; give a --token that uploads need"

@@ -14,7 +14,7 @@ from urllib.parse import urlencode, urlsplit
 from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, Manifest
 from cags_common.errors import ConfigError, NetworkError
 from cags_common.transport import Transport, websocket
-from cags_protocol.wire.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
+from cags_protocol.wire.limits import MAX_MESSAGE_BYTES, MAX_TEXT_BYTES, SUBPROTOCOL
 
 INFO_TIMEOUT_S = 10.0
 FIRST_TIMEOUT_S, AGAIN_TIMEOUT_S = 10.0, 1.5
@@ -46,11 +46,27 @@ def _is_stream_address(text: str) -> bool:
         return False
 
 
+def check_token(token: str) -> None:
+    """Raise :class:`ConfigError` for a token that no server can have, or that a header or a Hello cannot hold."""
+    strange = next((c for c in token if not c.isprintable()), None)
+    if strange is not None:
+        raise ConfigError(
+            f"token has the character U+{ord(strange):04X}, which cannot be printed; give --token on one line, without "
+            "control characters"
+        )
+    if len(token.encode()) > MAX_TEXT_BYTES:
+        raise ConfigError(f"token is longer than {MAX_TEXT_BYTES} bytes; give the server's with --token")
+
+
 class Endpoints:
     """Opens connections to one of several servers of the same scene."""
 
     def __init__(self, url: str, token: str = "", ca: str = "") -> None:
-        """``url``: one or more addresses, separated by commas. ``ca``: as for :func:`trust`."""
+        """``url``: one or more addresses, separated by commas. ``ca``: as for :func:`trust`.
+
+        Raises :class:`NetworkError` and :class:`ConfigError` for what is no address, token or file of certificates.
+        """
+        check_token(token)
         self._urls, self._token, self._tls = addresses(url), token, trust(ca)
         self._current = 0
 
@@ -86,7 +102,7 @@ class Endpoints:
             subprotocol=SUBPROTOCOL,
             max_message_bytes=MAX_MESSAGE_BYTES,
             timeout_s=timeout_s,
-            token=self._token,
+            token=self._token.encode().decode("iso-8859-1"),  # websockets writes headers in that: UTF-8 on the wire
             tls=self._tls,
         )
 
@@ -108,8 +124,10 @@ def trust(ca: str) -> ssl.SSLContext | None:
 def fetch_info(url: str, token: str = "", ca: str = "") -> Manifest:
     """The public manifest of the first server of ``url`` that answers, by HTTP: walks are placed before a session.
 
-    Raises :class:`NetworkError` where there is no such server, :class:`BundleError` for another version's manifest.
+    Raises :class:`NetworkError` where there is no such server, :class:`ConfigError` for a token that none can have,
+    and :class:`BundleError` for another version's manifest.
     """
+    check_token(token)
     last = NetworkError(f"{url}: no server answers")
     for address in addresses(url):
         try:
@@ -128,7 +146,8 @@ def _info(url: str, token: str, tls: ssl.SSLContext | None) -> Manifest:
         path = f"/bundle?{parts.query}" if parts.query else "/bundle"
         connection.connect()
         with _hung_up_after(INFO_TIMEOUT_S, connection.sock, url):
-            connection.request("GET", path, headers={"Authorization": f"Bearer {token}"} if token else {})
+            shown = {"Authorization": f"Bearer {token}".encode()} if token else {}  # as text it would be Latin-1
+            connection.request("GET", path, headers=shown)
             response = connection.getresponse()
             data = response.read(MAX_MANIFEST_BYTES + 1)
     except ssl.SSLError as error:

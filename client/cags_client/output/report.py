@@ -72,6 +72,7 @@ def summary(records: list[dict[str, Any]], stats: PlayStats) -> dict[str, Any]:
         "keyframe_requests": stats.keyframe_requests,
         "reconnects": stats.reconnects,
         "away_ms": stats.away_us / 1e3,
+        "notices": list(stats.notices),
         "bytes_tiles": stats.bytes_tiles,
         "bytes_reference": stats.bytes_reference,
         "goodput_mbps": received * 8 / seconds / 1e6 if seconds > 0 else 0.0,

@@ -284,7 +284,7 @@ class Player:
                 self._restarts_due -= mark.restart and self._restarts_due > 0
                 self._take(event)
             case ev.NoticeReceived(notice):
-                self.stats.notices.append(f"{notice.code}: {notice.message}")
+                self.stats.notice(f"the server says: {notice.message} ({notice.code})")
             case ev.Refused(refusal):
                 self._why_away = refused(refusal)
                 if refusal.code in FATAL_REFUSALS:
@@ -402,7 +402,7 @@ class Player:
             self.pipeline.on_weights(data)
         except DecodeError as error:
             self.stats.decode_errors += 1
-            self.stats.notices.append(str(error))
+            self.stats.notice(f"the scene's own weights are not used ({error})")
 
     def _hold(self, now_us: int) -> None:
         """The first frame has arrived: let the server refine it before playback."""

@@ -117,7 +117,7 @@ class ClientSession(Session[ev.ClientEvent]):
     def data_to_send(self, now_us: int) -> list[bytes]:
         """Messages to write now, in order."""
         due_us = self._ack_due_us()
-        if self._state is State.OPEN and due_us is not None and now_us >= due_us:
+        if due_us is not None and now_us >= due_us:
             self._acknowledge(now_us)
         out = list(self._urgent)
         self._urgent.clear()
@@ -129,6 +129,9 @@ class ClientSession(Session[ev.ClientEvent]):
         return min(times) if times and not self.closed else None
 
     def _ack_due_us(self) -> int | None:
+        """When an acknowledgement is due; None while there is nothing to tell, or nobody to tell it to yet."""
+        if self._state is not State.OPEN:
+            return None
         if self._unacked >= self._settings.ack_packets:
             return self._received_us
         if self._unacked or self._evicted:

@@ -51,7 +51,10 @@ def token_allowed(expected: str, hello: Hello, header: str | None) -> bool:
 
 
 def header_allowed(expected: str, header: str | None) -> bool:
-    """Whether an ``Authorization: Bearer`` header alone opens: what is asked before there is a Hello."""
+    """Whether an ``Authorization: Bearer`` header alone opens: what is asked before there is a Hello.
+
+    The token is UTF-8 on the wire, and ``header`` as aiohttp decodes it.
+    """
     shown = header.removeprefix("Bearer ") if header and header.startswith("Bearer ") else ""
     return not expected or _same(shown, expected)
 

@@ -64,6 +64,9 @@ GONE_BEFORE = 499
 DEFAULT_FPS = 30.0
 """Of a server that has no scene yet."""
 
+MAX_AGENT = 60
+"""Characters of a client's name for itself that are logged; it is printable, as every text on the wire."""
+
 LINES_AT_ONCE = 16
 """Log lines about comings and goings of one address that may come at once; then there is one a second."""
 
@@ -85,7 +88,7 @@ class App:
         self._ended = Totals()
         self._memory = FreedMemory(lambda: self._clients, scenes.forget_decoded)
         self._book = SessionBook()
-        self._draining = False
+        self._draining, self._unwritten = False, 0  # session logs that are being written
         if not scenes.several:
             self._executor.submit(scenes.library(None).warm)
             self._executor.submit(self._read_ahead, scenes.library(None), 0)
@@ -161,7 +164,9 @@ class App:
             async with asyncio.timeout(self._settings.drain_s):
                 await self._empty.wait()
         except TimeoutError:
-            log.warning("%d clients did not leave within %g s", len(self._clients), self._settings.drain_s)
+            clients, logs = len(self._clients), self._unwritten
+            text = "%d clients did not leave, and %d session logs were not written, within %g s"
+            log.warning(text, clients, logs, self._settings.drain_s)
 
     def close(self) -> None:
         """Stop rendering."""
@@ -180,7 +185,7 @@ class App:
         if operator_allowed(self._settings.token, request.headers.get("Authorization"), request.remote or ""):
             return None
         reason = "give the token, as a bearer's or as the password of any name; without --token, ask from this machine"
-        asks = {"WWW-Authenticate": 'Basic realm="cags-server"'} if self._settings.token else {}
+        asks = {"WWW-Authenticate": 'Basic realm="cags-server", charset="UTF-8"'} if self._settings.token else {}
         return web.json_response({"error": reason}, status=401 if self._settings.token else 403, headers=asks)
 
     async def _status(self, request: web.Request) -> web.Response:
@@ -243,9 +248,11 @@ class App:
         try:
             await task.run()
         finally:
-            self._leave(name, transport.peer, connection)
             if events is not None:
                 events.close()
+            if self._leave(name, transport.peer, connection) and self._settings.session_logs:
+                await self._write_log(name, connection)
+            self._empty_if_so()
         return transport.response
 
     async def _library(self, name: str | None) -> SceneLibrary:
@@ -288,7 +295,8 @@ class App:
             if (reason := self._full()) is not None:
                 return RefusalCode.FULL, "", reason
             self._book.began(name, peer)
-            self._told.write(logging.INFO, peer, "%s: joined from %s", name, peer)
+            agent = f" ({hello.agent[:MAX_AGENT]})" if hello.agent else ""
+            self._told.write(logging.INFO, peer, "%s: joined from %s%s", name, peer, agent)
             return None
 
         return Connection(
@@ -304,31 +312,42 @@ class App:
             quotas=Quotas(messages=settings.max_message_rate, poses=settings.max_pose_rate),
         )
 
-    def _leave(self, name: str, peer: str, connection: Connection) -> None:
+    def _leave(self, name: str, peer: str, connection: Connection) -> bool:
+        """Forget a client, and tell how the session went; whether it had been let in."""
         del self._clients[name]
         self._unvouched.discard(peer, name)
         let_in = connection.streamer is not None
         connection.release(now_us())
         self._memory.session_ended()
-        if not self._clients:
-            self._empty.set()
         ending = connection.ending
         why, stats = why_ended(ending), connection.stats
         status = self._book.ended(name, stats, ending)
         if not let_in or status is None:
             self._turned_away.write(logging.INFO, peer, "%s: not let in, from %s (%s)", name, peer, why)
-            return
+            return False
         self._ended.add(stats)
         shown = status.in_time + status.late
         self._told.write(
             logging.INFO, peer, "%s: left (%s) after %.0f s, %d of %d frames in time, %d stalls, short of %s",
             name, why, status.seconds, status.in_time, shown, status.stalls, status.short_of,
         )  # fmt: skip
-        if self._settings.session_logs:
-            try:
-                write_session(Path(self._settings.session_logs), self._run, name, connection.stats, ending)
-            except OutputError as error:  # a full disk is no reason to stop serving
-                self._told.write(logging.WARNING, "session log", "%s", error)
+        return True
+
+    async def _write_log(self, name: str, connection: Connection) -> None:
+        """Write what is remembered of an ended session, in a thread: thousands of records take a while."""
+        folder, stats, ending = Path(self._settings.session_logs), connection.stats, connection.ending
+        self._unwritten += 1
+        try:
+            await asyncio.to_thread(write_session, folder, self._run, name, stats, ending)
+        except OutputError as error:  # a full disk is no reason to stop serving
+            self._told.write(logging.WARNING, "session log", "%s", error)
+        finally:
+            self._unwritten -= 1
+
+    def _empty_if_so(self) -> None:
+        """Let a server that drains go on once everybody has left and is written down."""
+        if not (self._clients or self._unwritten):
+            self._empty.set()
 
 
 async def serve(scenes: Collection, settings: ServeSettings, on_ready: Callable[[str, int, App], None]) -> None:

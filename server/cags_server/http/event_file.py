@@ -27,14 +27,18 @@ class EventFile:
         self._file: TextIO | None = None
         self._left = MAX_BYTES
         self._header: Record = {}
+        self._told = False
         self.trace = EventTrace(self._take, name)
         """What the session is given."""
 
     def close(self) -> None:
-        """The session is over."""
-        self._left = 0
-        if self._file is not None:
-            self._file.close()
+        """The session is over. What is buffered is written now, so a full disk may be met here."""
+        self._left, file, self._file = 0, self._file, None
+        if file is not None:
+            try:
+                file.close()
+            except OSError as error:
+                self._cannot_write(error)
 
     def _take(self, record: Record) -> None:
         if not self._header:
@@ -42,9 +46,15 @@ class EventFile:
         elif self._left > 0 and (self._file is not None or record["event"] == "queued"):
             try:
                 self._write(record)
-            except OSError as error:  # a full disk is no reason to end a stream
-                self._left = 0
-                log.warning("%s: cannot be written (%s); the trace ends here", self.path, error.strerror)
+            except OSError as error:
+                self._cannot_write(error)
+
+    def _cannot_write(self, error: OSError) -> None:
+        """End the trace, with one line: a full disk is no reason to end a stream."""
+        self._left = 0
+        if not self._told:
+            self._told = True
+            log.warning("%s: cannot be written (%s); the trace ends here", self.path, error.strerror)
 
     def _write(self, record: Record) -> None:
         if self._file is None:

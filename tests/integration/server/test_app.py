@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import re
 import ssl
+import threading
 from datetime import UTC, datetime, timedelta
 from ipaddress import ip_address
 from pathlib import Path
+from typing import Any
 
 import aiohttp
 import pytest
@@ -21,7 +24,7 @@ from cryptography.x509.oid import NameOID
 
 from cags_bench.network.clients import watch_all
 from cags_bench.network.plot import plot_session
-from cags_client.net.endpoints import fetch_info
+from cags_client.net.endpoints import Endpoints, fetch_info
 from cags_common.errors import ConfigError, NetworkError
 from cags_common.geometry import Pose
 from cags_common.transport.websocket import connect
@@ -30,8 +33,10 @@ from cags_protocol import events as ev
 from cags_protocol.wire.encoding import encode
 from cags_protocol.wire.limits import MAX_MESSAGE_BYTES
 from cags_protocol.wire.messages import PoseSample
+from cags_server.http import app as app_module
 from cags_server.http.admission import tls_context
 from cags_server.http.app import App
+from cags_server.records import write_session
 from cags_server.scene.collection import Collection
 from cags_server.settings import ServeSettings
 from support.live_server import Client, now_us, serving, stream_url
@@ -301,6 +306,18 @@ async def test_a_client_shows_its_token_for_the_bundle() -> None:
             await asyncio.to_thread(fetch_info, url)
 
 
+@pytest.mark.parametrize("token", ["ключ", "schlüssel", "鍵🔑", "a b=c"])
+async def test_a_token_of_any_letters_is_shown_by_the_client(token: str) -> None:
+    async with serving(token=token) as (_, server):
+        url = stream_url(server)
+        assert (await asyncio.to_thread(fetch_info, url, token)).frames == 12
+        transport = await Endpoints(url, token).first()
+        client = Client(transport)
+        assert await client.until(ev.Welcomed), "the header alone opens"
+        with pytest.raises(NetworkError, match="the token is missing or wrong"):
+            await asyncio.to_thread(fetch_info, url, token + "ю")
+
+
 def files(folder: Path) -> list[Path]:
     return sorted(folder.iterdir())
 
@@ -343,6 +360,38 @@ async def test_every_step_of_sending_is_traced_and_can_be_drawn(tmp_path: Path) 
     assert header["trace"] == "cags-session"
     assert {"queued", "sent", "acked", "delivered", "closed"} <= {event["event"] for event in events}
     assert plot_session(path).exists()
+
+
+async def test_a_session_is_logged_beside_the_loop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """8,192 records once stopped every stream for a quarter of a second, whenever somebody left."""
+    threads, begun, slow = list[threading.Thread](), threading.Event(), threading.Event()
+
+    def written(*arguments: Any) -> Path:
+        threads.append(threading.current_thread())
+        begun.set()
+        assert slow.wait(10), "the event loop waits for the log"
+        return write_session(*arguments)
+
+    monkeypatch.setattr(app_module, "write_session", written)
+    async with serving(session_logs=str(tmp_path)) as (_, server), aiohttp.ClientSession() as http:
+        client = await Client.join(server)
+        await client.play()
+        await client.leave()
+        assert await asyncio.to_thread(begun.wait, 10)
+        async with http.get(server.make_url("/healthz")) as answer:
+            assert (await answer.json())["clients"] == 0
+        slow.set()
+    assert threads != [threading.main_thread()]
+    assert len(files(tmp_path)) == 1, "a server that drains writes its logs"
+
+
+async def test_the_log_of_the_server_names_the_program_that_joins(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    async with serving() as (_, server):
+        client = await Client.join(server, agent="cags-web 1.0")
+        await client.until(ev.Welcomed)
+        await client.leave()
+    assert "s1: joined from 127.0.0.1 (cags-web 1.0)" in caplog.text
 
 
 async def test_a_log_that_cannot_be_written_does_not_end_the_server(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import threading
 import zipfile
 from collections.abc import AsyncIterator
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from aiohttp import ClientSession
+from aiohttp import ClientError, ClientSession, web
 from aiohttp.test_utils import TestServer
 
 from cags_client.net.endpoints import fetch_info, of_scene
@@ -21,6 +22,7 @@ from cags_common.raster import create
 from cags_encoder.formats import write_splats
 from cags_server.http.app import App
 from cags_server.http.gallery.archives import ArchiveError, unpacked
+from cags_server.http.gallery.uploads import Uploads
 from cags_server.scene.collection import Collection
 from cags_server.settings import ServeSettings
 from support.capture import three_balls
@@ -33,12 +35,18 @@ RASTERISER = create("auto")
 @asynccontextmanager
 async def gallery(folder: Path, **settings: Any) -> AsyncIterator[tuple[str, TestServer]]:
     """Address and server of the bundles in a folder."""
+    async with served(folder, **settings) as (_, server):
+        yield f"http://127.0.0.1:{server.port}", server
+
+
+@asynccontextmanager
+async def served(folder: Path, **settings: Any) -> AsyncIterator[tuple[App, TestServer]]:
     chosen = ServeSettings(bundle=str(folder), reference_width=64, reference_height=48, **settings)
     app = App(Collection.open(str(folder), lambda: RASTERISER, may_be_empty=chosen.accept_uploads), chosen)
     server = TestServer(app.web_app(), host="127.0.0.1")
     await server.start_server()
     try:
-        yield f"http://127.0.0.1:{server.port}", server
+        yield app, server
     finally:
         await app.drain()
         await server.close()
@@ -174,6 +182,84 @@ async def test_an_encoding_can_be_ended(tmp_path: Path) -> None:
         job = await (await http.delete(f"{url}/upload")).json()
         assert (job["state"], job["text"]) == ("failed", "ended")
         assert names(tmp_path) == ["a.ply"]
+
+
+class Trickle:
+    """A body that begins, and goes on when it is let."""
+
+    def __init__(self, first: bytes, rest: bytes = b"") -> None:
+        self._parts, self.go_on = (first, rest), asyncio.Event()
+
+    async def __aiter__(self) -> AsyncIterator[bytes]:
+        yield self._parts[0]
+        await self.go_on.wait()
+        yield self._parts[1]
+
+
+async def received(http: ClientSession, url: str) -> None:
+    """Until a file is being received."""
+    async with asyncio.timeout(10):
+        while True:
+            if (await (await http.get(f"{url}/upload")).json())["state"] == "receiving":
+                return
+            await asyncio.sleep(0.01)
+
+
+async def test_a_file_that_is_being_received_can_be_ended_and_another_one_taken(tmp_path: Path) -> None:
+    data = capture(tmp_path / "a.ply")
+    async with gallery(tmp_path, accept_uploads=True) as (url, _), ClientSession() as http:
+        body = Trickle(data[:100], data[100:])
+        sending = asyncio.create_task(http.post(f"{url}/upload?name=a.ply", data=body))
+        await received(http, url)
+        job = await (await http.delete(f"{url}/upload")).json()
+        assert (job["state"], job["text"]) == ("failed", "ended")
+        assert names(tmp_path) == ["a.ply"], "nothing is left of it"
+        answer = await http.post(f"{url}/upload?name=b.ply", data=data)
+        assert answer.status == 202, "another one has the place"
+        body.go_on.set()
+        with contextlib.suppress(ClientError):  # the server need not read the rest
+            answer = await sending
+            assert answer.status == 409
+            assert "ended" in (await answer.json())["error"]
+        assert (await (await http.get(f"{url}/upload")).json())["text"] != "ended", "which the late rest does not end"
+
+
+async def test_an_upload_that_is_ended_when_it_has_just_come_is_not_encoded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    came, receive = asyncio.Event(), Uploads._receive
+
+    async def told(uploads: Uploads, request: web.Request, file: Path) -> None:
+        await receive(uploads, request, file)
+        came.set()
+
+    monkeypatch.setattr(Uploads, "_receive", told)
+    async with served(tmp_path, accept_uploads=True) as (app, server), ClientSession() as http:
+        uploads, url = app._uploads, f"http://127.0.0.1:{server.port}"
+        assert uploads is not None
+        sending = asyncio.create_task(http.post(f"{url}/upload?name=a.ply", data=b"ply"))
+        await came.wait()
+        await uploads.end()
+        assert (await sending).status == 409
+        assert (uploads.job.state, uploads.job.text) == ("failed", "ended")
+    assert names(tmp_path) == []
+
+
+async def test_a_server_that_drains_takes_no_file_any_more(tmp_path: Path) -> None:
+    async with served(tmp_path, accept_uploads=True) as (app, server), ClientSession() as http:
+        body, url = Trickle(b"ply\n", b"x"), f"http://127.0.0.1:{server.port}"
+        sending = asyncio.create_task(http.post(f"{url}/upload?name=a.ply", data=body))
+        await received(http, url)
+        async with asyncio.timeout(5):
+            await app.drain()
+        assert (await (await http.get(f"{url}/upload")).json())["state"] == "failed"
+        body.go_on.set()
+        with contextlib.suppress(ClientError):
+            assert (await sending).status == 409
+        answer = await http.post(f"{url}/upload?name=a.ply", data=b"ply")
+        assert answer.status == 503
+        assert "shutting down" in (await answer.json())["error"]
+    assert names(tmp_path) == []
 
 
 def test_uploads_need_a_folder_and_off_loopback_a_token(folder: Path) -> None:

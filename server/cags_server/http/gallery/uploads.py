@@ -78,8 +78,9 @@ class Uploads:
         self._scenes, self._settings, self._streams, self._folder = scenes, settings, streams, scenes.folder
         self._most = round(settings.upload_mb * 1e6)
         self.job = Job()
-        self._work: asyncio.Task[None] | None = None
+        self._work: asyncio.Task[None] | None = None  # receives, then encodes
         self._place: Path | None = None  # of the job under way
+        self._closed = False
         for left in self._folder.glob(f"{PREFIX}*"):  # of a server that was killed
             shutil.rmtree(left, ignore_errors=True)
 
@@ -90,13 +91,20 @@ class Uploads:
         app.router.add_delete("/upload", self._delete)
 
     async def close(self) -> None:
-        """End what is under way."""
+        """End what is under way, and take nothing more."""
+        self._closed = True
+        await self.end()
+
+    async def end(self) -> None:
+        """End what is under way: a file that is being received, or one that is being encoded."""
         work, self._work = self._work, None
-        if work is not None and not work.done():
-            work.cancel()
-            await asyncio.gather(work, return_exceptions=True)
-            if self._place is not None:  # it had not begun
-                self._ended(asyncio.CancelledError())
+        place = self._place
+        if work is None or place is None:
+            return
+        work.cancel()
+        await asyncio.gather(work, return_exceptions=True)
+        if self._place is place:  # it was being received, or had not begun to be encoded
+            self._ended(asyncio.CancelledError())
 
     async def _get(self, request: web.Request) -> web.Response:
         return self._refusal(request) or web.json_response(asdict(self.job))
@@ -105,7 +113,7 @@ class Uploads:
         refusal = self._refusal(request)
         if refusal is not None:
             return refusal
-        await self.close()
+        await self.end()
         return web.json_response(asdict(self.job))
 
     async def _post(self, request: web.Request) -> web.Response:
@@ -127,18 +135,35 @@ class Uploads:
             raise UploadError(f"{name[-60:]!r}: is of no kind that is encoded; known are {known}", 415)
         if (request.content_length or 0) > self._most:
             raise UploadError(f"{request.content_length} bytes are more than the {self._most} that are taken")
+        if self._closed:
+            raise UploadError("the server is shutting down", 503)
         if self._place is not None:
             raise UploadError("another file is being encoded; try again when it is done", 409)
         self._streams(request)
         self._place = place = Path(tempfile.mkdtemp(prefix=PREFIX, dir=self._folder))
+        file = place / f"{scene_name(name[: -len(suffix)])}{suffix}"
+        receiving = self._work = asyncio.create_task(self._receive(request, file))
         try:
-            await self._receive(request, place / f"{scene_name(name[: -len(suffix)])}{suffix}")
+            await self._come(receiving)
         except BaseException as error:
-            self._ended(error)
+            if self._work is receiving:  # else `end` tells how it ended
+                self._ended(error)
             if isinstance(error, OSError | web.RequestPayloadError):  # its sender is gone, or there is no room
                 raise UploadError(f"the file was not received ({error})", 507) from error
             raise
         self._work = asyncio.create_task(self._run(place, _title(name[: -len(suffix)])))
+
+    async def _come(self, receiving: asyncio.Task[None]) -> None:
+        """Wait for a file. Raises what :meth:`_receive` does, and :class:`UploadError` for one that :meth:`end` ended,
+        be it in the moment that its last byte came.
+        """
+        try:
+            await asyncio.wait({receiving})
+        finally:
+            receiving.cancel()  # where the request itself is cancelled
+        if self._work is not receiving:
+            raise UploadError("the upload was ended", 409)
+        await receiving
 
     def _refusal(self, request: web.Request) -> web.Response | None:
         if not header_allowed(self._settings.token, request.headers.get("Authorization")):

@@ -13,7 +13,8 @@ from typing import Any
 import pytest
 
 from cags_client.net import endpoints
-from cags_common.errors import NetworkError
+from cags_common.errors import ConfigError, NetworkError
+from cags_protocol.wire.limits import MAX_TEXT_BYTES
 
 A, B = "ws://a:1/stream", "ws://b:2/stream"
 
@@ -71,6 +72,22 @@ def test_a_scene_is_named_to_every_server() -> None:
     assert endpoints.of_scene(f"{A}, {B}", "a b&c") == f"{A}?scene=a+b%26c,{B}?scene=a+b%26c"
     with pytest.raises(NetworkError, match="is no stream address"):
         endpoints.of_scene("nonsense", "room")
+
+
+@pytest.mark.parametrize("token", ["se\ncret", "secret\r\nX: y", "\x1b[0m", "sec\udcffret"])
+def test_a_token_with_control_characters_is_refused_and_not_repeated(token: str) -> None:
+    """A line break in it would be a header of its own."""
+    for shown in (lambda: endpoints.Endpoints(A, token), lambda: endpoints.fetch_info(A, token)):
+        with pytest.raises(ConfigError, match=r"token has the character U\+[0-9A-F]{4}, which") as refused:
+            shown()
+        assert str(refused.value).isprintable()
+        assert "sec" not in str(refused.value)
+
+
+def test_a_token_that_no_message_holds_is_refused() -> None:
+    endpoints.Endpoints(A, "x" * MAX_TEXT_BYTES)
+    with pytest.raises(ConfigError, match=f"token is longer than {MAX_TEXT_BYTES} bytes"):
+        endpoints.Endpoints(A, "ю" * MAX_TEXT_BYTES)
 
 
 @contextmanager

@@ -7,16 +7,18 @@ import random
 import numpy as np
 import pytest
 
+from cags_client.frame.pipeline import ClientPipeline
 from cags_client.playback.jobs import Decode
 from cags_client.playback.player import Player
 from cags_client.playback.startup import QUIET_US
 from cags_client.settings import ClientSettings
+from cags_client.stats import MAX_NOTICES
 from cags_common.coding.packing import encode_ids
-from cags_common.errors import NetworkError
+from cags_common.errors import DecodeError, NetworkError
 from cags_common.geometry import Pose
 from cags_protocol import ClientSession, ServerSession
 from cags_protocol import events as ev
-from cags_protocol.sessions.blobs import CODEBOOKS_BLOB
+from cags_protocol.sessions.blobs import CODEBOOKS_BLOB, WEIGHTS_BLOB
 from cags_protocol.wire.encoding import encode
 from cags_protocol.wire.messages import (
     Blob,
@@ -25,6 +27,7 @@ from cags_protocol.wire.messages import (
     FrameEnd,
     Hello,
     Mark,
+    Notice,
     ReferenceFrame,
     Refusal,
     RefusalCode,
@@ -287,3 +290,42 @@ def test_leaving_says_goodbye() -> None:
     assert client.error is None
     closed = [e for e in sent(client, server, 1) if isinstance(e, ev.Closed)]
     assert [e.code for e in closed] == ["bye"]
+
+
+def test_what_the_server_has_to_say_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    client = player()
+    joined(client)
+    for text in ("the link is slow", "the link is slow", "the store is slow"):
+        client.receive(encode(Notice("slow", text)), 0)
+    told = ["the server says: the link is slow (slow)", "the server says: the store is slow (slow)"]
+    assert list(client.stats.notices) == told
+    assert [record.getMessage() for record in caplog.records] == told
+    assert {record.levelname for record in caplog.records} == {"WARNING"}
+
+
+def test_a_server_that_talks_without_end_is_neither_remembered_nor_repeated(caplog: pytest.LogCaptureFixture) -> None:
+    client = player()
+    joined(client)
+    for number in range(2000):
+        client.receive(encode(Notice("slow", f"{number}")), 0)
+    assert len(client.stats.notices) == MAX_NOTICES
+    assert client.stats.notices[-1] == "the server says: 1999 (slow)"
+    assert len(caplog.records) < 2 * MAX_NOTICES
+
+
+def test_why_the_scenes_own_weights_are_not_used_is_told(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def damaged(pipeline: ClientPipeline, data: bytes) -> None:
+        raise DecodeError("weights: are damaged")
+
+    monkeypatch.setattr(ClientPipeline, "on_weights", damaged)
+    client = player()
+    server = joined(client)
+    server.queue(ev.Outgoing(Blob(WEIGHTS_BLOB, 0, 7), b"damaged"), now_us=0)
+    for data in server.data_to_send(0):
+        client.receive(data, 0)
+    assert client.stats.decode_errors == 1
+    told = ["the scene's own weights are not used (weights: are damaged)"]
+    assert list(client.stats.notices) == told
+    assert [record.getMessage() for record in caplog.records] == told

@@ -250,6 +250,19 @@ def test_evictions_reach_the_server():
     assert pair.server_events(ev.Acknowledged)[0].sample.undecoded_bytes == 777
 
 
+def test_evictions_before_the_welcome_wait_for_it_and_ask_for_no_timer():
+    """The time of an acknowledgement that could not be sent was in the past, and the client's loop spun until then."""
+    pair = Pair()
+    pair.client.hello(hello(), now_us=0)
+    gone = (InventoryEntry(3, 1, 0),)
+    pair.client.report_evictions(gone)
+    pair.run(30_000)
+    assert pair.client.next_timer_us() == SessionTimers().handshake_us
+    pair.server.accept(m.Welcome("s", 30.0, 100), now_us=pair.now_us)
+    pair.run(30_000)
+    assert sum((e.tiles for e in pair.server_events(ev.Evicted)), ()) == gone
+
+
 def test_an_idle_session_is_kept_alive():
     pair = Pair().open().run(120_000_000)
     assert not pair.server.closed

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+from io import StringIO
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -51,3 +53,35 @@ def test_a_disk_that_cannot_be_written_ends_the_trace_with_one_line(
     file.trace.queued(2, TILE, 8)
     assert [record.levelname for record in caplog.records] == ["WARNING"]
     assert "the trace ends here" in caplog.text
+
+
+class FullDisk(StringIO):
+    """Takes what it is given, and cannot write it out in the end; or no more from the start."""
+
+    def __init__(self, *, at_once: bool) -> None:
+        super().__init__()
+        self._at_once = at_once
+
+    def write(self, text: str) -> int:
+        if self._at_once:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return super().write(text)
+
+    def close(self) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.parametrize("at_once", [False, True])
+def test_a_disk_that_is_full_at_the_close_is_one_line_and_no_error(
+    at_once: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """What is buffered is written by the close: its error used to leave the handler of the whole session."""
+    disk = FullDisk(at_once=at_once)
+    file = EventFile(tmp_path, "run", "s4")
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "open", lambda *_, **__: disk)
+        file.trace.queued(1, TILE, 4)
+    file.close()
+    file.close()
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+    assert "cannot be written (No space left on device); the trace ends here" in caplog.text

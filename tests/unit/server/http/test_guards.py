@@ -8,7 +8,7 @@ import pytest
 
 from cags_common.errors import ConfigError
 from cags_protocol.events import Closed
-from cags_server.http.admission import origin_allowed, tls_context, token_allowed
+from cags_server.http.admission import header_allowed, origin_allowed, tls_context, token_allowed
 from cags_server.http.metrics import exposition
 from cags_server.records import ReferenceCosts, StreamStats, Totals, write_session
 from cags_server.session.quota import MESSAGE_S, ClientQuota, Quotas, ReadingShare, TokenBucket
@@ -49,6 +49,23 @@ def test_tokens() -> None:
     with pytest.raises(ConfigError, match="token has an empty part"):
         ServeSettings(bundle="x", token="old,")
     assert not token_allowed("s", hello(), "Bearer \udcff")  # a byte that is not UTF-8, as aiohttp hands it on
+
+
+def test_a_token_of_any_letters_opens_as_aiohttp_hands_its_header_on() -> None:
+    for token in ("ключ", "schlüssel", "鍵"):
+        header = f"Bearer {token}".encode().decode("utf-8", "surrogateescape")
+        assert header_allowed(token, header)
+        assert not header_allowed(token, f"Bearer {token}x")
+    latin = "Bearer schlüssel".encode("latin-1").decode("utf-8", "surrogateescape")
+    assert not header_allowed("schlüssel", latin), "it is sent as UTF-8"
+
+
+@pytest.mark.parametrize("token", ["se\ncret", "secret\r\n", "a,b\x00", "\x1b[0m", "sec\udcffret"])
+def test_a_token_with_control_characters_is_refused_and_not_repeated(token: str) -> None:
+    with pytest.raises(ConfigError, match=r"token has the character U\+[0-9A-F]{4}, which") as refused:
+        ServeSettings(bundle="x", token=token)
+    assert str(refused.value).isprintable()
+    assert "sec" not in str(refused.value)
 
 
 @pytest.mark.parametrize(
