@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 PROG = "cags-client"
 DEFAULT_WALK = "synthetic:walking"
+STAGES_EVERY = 30
+"""Frames between those whose intermediate pictures are saved."""
 
 EXAMPLES = """\
   cags-client --url ws://127.0.0.1:8765/stream
@@ -85,7 +87,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--truth", metavar="BUNDLE", help="score every frame against the source frames of this bundle")
     parser.add_argument("--stages", metavar="DIR", help="folder for the intermediate pictures of some frames")
     parser.add_argument(
-        "--stages-every", type=int, default=30, metavar="N", help="frames between those of --stages (default: 30)"
+        "--stages-every", type=int, metavar="N", help=f"frames between those of --stages (default: {STAGES_EVERY})"
     )
     add_settings(parser, ClientSettings)
     _add_view(parser)
@@ -110,6 +112,10 @@ def _body(argv: Sequence[str]) -> int | None:
 
     settings = load_settings(ClientSettings, arguments, ViewSettings)
     names = ("url", "poses", "save", "json", "truth", "stages", "stages_every", "view", "headless")
+    if arguments.stages_every is None:
+        arguments.stages_every = STAGES_EVERY
+    elif not arguments.stages:
+        raise ConfigError("--stages-every is an option of --stages; add --stages DIR or leave it out")
     outputs = _Outputs(**{name: getattr(arguments, name) for name in names})
     outputs = replace(outputs, url=of_scene(outputs.url, arguments.scene))
     if outputs.stages_every < 1:
@@ -179,7 +185,7 @@ def _watch(settings: ClientSettings, outputs: _Outputs) -> int | None:
             scored = _score(records, spool, truth, outputs, noted)
             after += f", {scored} of them scored" if noted else ""
         last = summary(records, playback.player.stats)
-        _report(outputs.json, [*records, last], round(_seconds(settings, info) * info.fps))
+        _report(outputs.json, [*records, last], _frames(settings, info))
     if playback.error is not None:
         raise playback.error
     ended_by = playback.ended_by or next(iter(noted), None)
@@ -283,6 +289,11 @@ def _seconds(settings: ClientSettings, info: Manifest) -> float:
     """Length of the play."""
     clip_s = (info.frames - settings.start_frame) / info.fps
     return clip_s if settings.duration is None else min(clip_s, settings.duration)
+
+
+def _frames(settings: ClientSettings, info: Manifest) -> int:
+    """Media frames of the play, counted as the player does: a very short one still shows a frame."""
+    return max(1, round(_seconds(settings, info) * info.fps))
 
 
 def _open_sinks(outputs: _Outputs, info: Manifest) -> tuple[list[FrameSink], ScoringSpool | None]:

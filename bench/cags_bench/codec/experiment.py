@@ -15,6 +15,7 @@ from cags_bench.codec.peers import Peer, peers
 from cags_bench.codec.readers import SplatTransform
 from cags_bench.codec.scaling import scaling
 from cags_bench.codec.views import Judge, views_around
+from cags_bench.inputs import check_scenes
 from cags_bench.jsonl import summary
 from cags_common.lpips import Lpips
 from cags_common.raster import create
@@ -26,7 +27,12 @@ Line = dict[str, Any]
 
 
 def compare(scenes: Sequence[str], options: argparse.Namespace) -> Iterator[Line]:
-    """Lines of every scene, then the summary."""
+    """Lines of every scene, then the summary.
+
+    Raises :class:`CagsError`; wrong inputs are refused before anything is measured.
+    """
+    variants = [Variant.named(name) for name in options.quantisers]
+    check_scenes([*scenes, *([options.clip] if options.clip else [])])
     lpips = Lpips(options.lpips) if options.lpips else None
     tool = SplatTransform.find(options.splat_transform)
     settings = LadderSettings(options.points, options.repeats, options.threads)
@@ -37,7 +43,6 @@ def compare(scenes: Sequence[str], options: argparse.Namespace) -> Iterator[Line
         splats = splats.take(morton_order(splats.means))
         judge = Judge(splats, views_around(source, options.views, options.width), create("auto"), lpips)
         known = {"scene": spec, "sh_degree": splats.sh_degree}
-        variants = [Variant.named(name) for name in options.quantisers]
         for variant in [*variants, *(VARIANTS if options.ablations else ())]:
             for line in ladder(source, splats, variant, judge, settings):
                 seen.append({**known, **line})

@@ -10,6 +10,7 @@ from typing import Any
 from cags_bench.cost.engine import Measured
 from cags_bench.cost.settings import CostSettings
 from cags_common.errors import ConfigError
+from cags_common.files import write_whole
 
 CLIENT_STAGE, SERVER_STAGE = "client frame", "whole reference"
 """Stages that proposals are based on: all work of a client for a frame, and drawing and coding a reference."""
@@ -68,20 +69,23 @@ def _best(points: Sequence[Measured], budget_ms: float) -> Measured:
 
 
 def write_config(path: Path, proposal: Proposal, settings: CostSettings) -> None:
-    """Write the proposal as TOML for ``cags-client --config`` and ``cags-server --config``."""
+    """Write the proposal as TOML for ``cags-client --config`` and ``cags-server --config``.
+
+    Raises :class:`OutputError` if the file cannot be written.
+    """
     exactness, resolution, way = proposal.client.label.split(" / ")
     size, crf = proposal.server.label.split(" / crf ")
     (width, height), (reference_width, reference_height) = proposal.client.size.split("x"), size.split("x")
-    path.write_text(
+    text = (
         f"# proposed by cags-bench cost --budget-ms {settings.budget_ms:g}\n\n"
         f"[client]  # {_summary(proposal.client)}\n"
         f"width = {width}\nheight = {height}\n"
         f'exactness = "{exactness}"\nresolution = "{resolution}"\nrestore = "{way}"\n\n'
         f"[server]  # {_summary(proposal.server)}\n"
         f"reference_width = {reference_width}\nreference_height = {reference_height}\n"
-        f"reference_crf = {float(crf)}\n",
-        encoding="utf-8",
+        f"reference_crf = {float(crf)}\n"
     )
+    write_whole(path, text.encode())
 
 
 def _summary(one: Measured) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -27,6 +28,7 @@ from cags_bench.cost.moments import LIKE_SPLATS
 from cags_bench.cost.settings import CostSettings
 from cags_bench.jsonl import JsonObject, dump, provenance
 from cags_bench.reproduce.marking import titles
+from cags_common.files import writable_folder, write_whole
 from cags_research.seen import uses
 
 Group = Sequence[Measured]
@@ -36,17 +38,17 @@ WIDE = 20
 
 
 def write_page(out: Path, groups: Sequence[Group], checks: Sequence[JsonObject], settings: CostSettings) -> None:
-    """Write ``index.html``, ``points.jsonl`` and ``points.csv`` to ``out``."""
-    out.mkdir(parents=True, exist_ok=True)
+    """Write ``index.html``, ``points.jsonl`` and ``points.csv`` to ``out``. Raises :class:`OutputError`."""
+    writable_folder(out)
     lines = [line(one, default_of(group)) for group in groups for one in group]
     text = "".join(dump(each | provenance()) + "\n" for each in lines)
-    (out / "points.jsonl").write_text(text, encoding="utf-8")
+    write_whole(out / "points.jsonl", text.encode())
     _write_csv(out / "points.csv", lines)
     by_stage: dict[str, list[Group]] = {}
     for group in groups:
         by_stage.setdefault(group[0].stage.name, []).append(group)
     body = [_intro(settings), _checks(checks), _summary(by_stage), *map(_section, by_stage.values())]
-    (out / "index.html").write_text(html.page("Cost of accuracy", body), encoding="utf-8")
+    write_whole(out / "index.html", html.page("Cost of accuracy", body).encode())
 
 
 def _intro(settings: CostSettings) -> str:
@@ -198,7 +200,8 @@ def _plot(group: Group) -> str:
 def _write_csv(path: Path, lines: Iterable[dict[str, Any]]) -> None:
     lines = list(lines)
     columns = list(dict.fromkeys(key for each in lines for key in each))
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, columns)
-        writer.writeheader()
-        writer.writerows(lines)
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, columns)
+    writer.writeheader()
+    writer.writerows(lines)
+    write_whole(path, text.getvalue().encode())

@@ -21,13 +21,20 @@ from cags_bench.cost.plays import session_groups
 from cags_bench.cost.referring import reference_stages
 from cags_bench.cost.settings import CostSettings
 from cags_bench.cost.shrinking import pruning_stages, shrinking_stages
+from cags_bench.inputs import check_scenes, check_traces, check_walks
 from cags_bench.jsonl import JsonObject, check, provenance, summary
+from cags_bench.outputs import check_output_file
+from cags_common.files import writable_folder
 
 Groups = Sequence[Sequence[Measured]]
 
 
 def sweep(settings: CostSettings) -> Iterator[dict[str, Any]]:
-    """Measure all stages; yield one line per point, then the summary. Writes the page and the proposal if asked."""
+    """Measure all stages; yield one line per point, then the summary. Writes the page and the proposal if asked.
+
+    Raises :class:`CagsError`; wrong inputs and outputs are refused before anything is measured.
+    """
+    _check(settings)
     found = graphics()
     if isinstance(found, str):
         yield {"benchmark": "cost", "left_out": "rasterise on a graphics adapter", "reason": found} | provenance()
@@ -46,6 +53,16 @@ def sweep(settings: CostSettings) -> Iterator[dict[str, Any]]:
     if proposal is not None and settings.config_out:
         write_config(Path(settings.config_out), proposal, settings)
     yield _summary(groups, checks, proposal)
+
+
+def _check(settings: CostSettings) -> None:
+    if settings.out:
+        writable_folder(Path(settings.out))
+    if settings.config_out:
+        check_output_file("config_out", settings.config_out)
+    check_scenes(settings.scene_list)
+    check_traces([settings.trace])
+    check_walks([settings.poses])
 
 
 def _moments(settings: CostSettings) -> Iterator[list[Measured]]:

@@ -14,12 +14,12 @@ from cags_bench.bundles import cached_bundle, frames_of
 from cags_bench.demo.processes import Process, ProcessGroup
 from cags_bench.demo.settings import DemoSettings
 from cags_bench.doctor.machine import usable_cores
+from cags_bench.inputs import check_walks
 from cags_bench.jsonl import provenance
 from cags_bench.stream_report import STAGES_EVERY, capacity_series, plot_stream, read_lines, telling_frame, write_strip
 from cags_bench.traces import scaled_trace
 from cags_common.errors import CagsError, NetworkError, OutputError
 from cags_common.files import writable_folder
-from cags_common.poses import Focus, open_poses
 from cags_encoder import EncodeSettings
 from cags_shaper.trace import open_trace
 
@@ -79,7 +79,7 @@ def run_demo(scene: str, settings: DemoSettings, progress: IO[str]) -> dict[str,
 def check_link_and_walk(settings: DemoSettings) -> None:
     """Report unreadable traces and walks before a scene is encoded. Raises :class:`CagsError`."""
     open_trace(settings.trace)
-    open_poses(settings.poses, Focus((0.0, 0.0, 0.0), 1.0, (0.0, 1.0, 0.0)))
+    check_walks([settings.poses])
 
 
 def demo_bundle(scene: str, size: DemoSize, settings: DemoSettings) -> Path:

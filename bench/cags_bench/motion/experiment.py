@@ -12,13 +12,16 @@ from typing import Any
 
 import numpy as np
 
+from cags_bench.inputs import check_scenes, check_traces
 from cags_bench.jsonl import JsonObject, check, provenance, summary
 from cags_bench.motion.film import write_film
 from cags_bench.motion.sessions import goal_checks, played, sessions_of
 from cags_bench.motion.settings import DISGUISE, MotionSettings
 from cags_bench.motion.uploads import frame_uploads
+from cags_bench.outputs import check_output_file
 from cags_common import raster
 from cags_common.bundle import BundlePlayer, BundleReader
+from cags_common.files import writable_folder
 from cags_common.metrics import covered_mask, psnr
 from cags_common.raster import RenderOptions
 from cags_common.tiles.kinds import TileKind
@@ -41,7 +44,11 @@ TIMED_SPLATS = 60_000
 
 
 def measure(settings: MotionSettings) -> Iterator[JsonObject]:
-    """One line per scene and coding, one for the times, one per session, then the summary."""
+    """One line per scene and coding, one for the times, one per session, then the summary.
+
+    Raises :class:`CagsError`; wrong inputs and outputs are refused before anything is measured.
+    """
+    _check(settings)
     lines, checks = [], list[JsonObject]()
     if "rates" in settings.part_list:
         for scene in settings.scene_list:
@@ -64,6 +71,16 @@ def measure(settings: MotionSettings) -> Iterator[JsonObject]:
     if settings.film:
         yield write_film(Path(settings.film), settings.film_scene, settings.film_trace, settings.cache)
     yield summary("motion", checks)
+
+
+def _check(settings: MotionSettings) -> None:
+    if settings.film:
+        writable_folder(Path(settings.film).parent)
+        check_output_file("film", settings.film)
+        check_traces([settings.film_trace])
+        check_scenes([settings.film_scene])
+    if "rates" in settings.part_list:
+        check_scenes(settings.scene_list)
 
 
 def _rates(scene: str, settings: MotionSettings) -> Iterator[JsonObject]:

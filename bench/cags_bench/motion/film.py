@@ -16,6 +16,7 @@ from cags_bench.bundles import cached_bundle
 from cags_bench.jsonl import JsonObject, provenance
 from cags_bench.sim.session import Scenario, simulate
 from cags_client.frame.presented import PresentedFrame
+from cags_client.output.files import write_png
 from cags_client.settings import ClientSettings
 from cags_encoder import EncodeSettings
 
@@ -26,14 +27,16 @@ FIRST, COUNT = 36, 6
 
 
 def write_film(path: Path, scene: str, trace: str, cache: str) -> JsonObject:
-    """Play ``scene`` over ``trace`` with both codings, write the strip to ``path``, and return the PSNR."""
+    """Play ``scene`` over ``trace`` with both codings, write the strip to ``path``, and return the PSNR.
+
+    Raises :class:`OutputError` if the file cannot be written.
+    """
     rows, figures = [], {}
     for way, title in WAYS.items():
         pictures, found = _played(scene, trace, way, cache)
         rows.append(_row(title, pictures, found))
         figures[way] = [round(value, 2) for value in found]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(path), np.concatenate(rows, axis=0))
+    write_png(path, np.concatenate(rows, axis=0))
     return {"benchmark": "motion", "part": "film", "scene": scene, "trace": trace, "psnr_db": figures, **provenance()}
 
 
@@ -60,5 +63,5 @@ def _row(title: str, pictures: list[NDArray[np.uint8]], found: list[float]) -> N
         bar = np.full((26, WIDTH_PX, 3), 24, np.uint8)
         text = f"{title}, frame {FIRST}: {value:.1f} dB" if number == 0 else f"{value:.1f} dB"
         cv2.putText(bar, text, (8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (235, 235, 235), 1, cv2.LINE_AA)
-        labelled.append(np.concatenate([bar, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)], axis=0))
+        labelled.append(np.concatenate([bar, picture], axis=0))
     return np.concatenate(labelled, axis=1)

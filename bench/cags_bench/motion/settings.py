@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from cags_bench.outputs import check_suffix
+from cags_common.errors import ConfigError
 from cags_common.settings import check_settings, names_in, setting
 
 PARTS = ("rates", "times", "sessions")
@@ -25,7 +27,7 @@ class MotionSettings:
     views: int = setting(3, "views of each judged frame", low=1, high=64)
     workers: int = setting(2, "encoder processes", low=1, high=64)
     whole: bool = setting(True, "also encode with changed splats sent whole, for comparison")
-    film: str = setting("", "also play --film-scene with both codings in virtual time and write a film strip here")
+    film: str = setting("", "also play --film-scene with both codings in virtual time; file for a strip of it (.png)")
     film_scene: str = setting("fourd:splats=20000,births=2500", "scene of the film strip")
     film_trace: str = setting("generated:steady-10", "network trace of the film strip")
     seeds: int = setting(3, "plays of each session, each with another walk and part of the trace", low=1, high=100)
@@ -36,6 +38,12 @@ class MotionSettings:
     def __post_init__(self) -> None:
         check_settings(self)
         self.part_list  # noqa: B018 - refuse what does not parse
+        if self.film:
+            check_suffix("film", self.film, (".png",))
+        for name in ("film_scene", "film_trace"):
+            value = getattr(self, name)
+            if not self.film and value != getattr(MotionSettings, name):
+                raise ConfigError(f"{name} = {value!r} is for a film strip; add --film FILE.png or leave it out")
 
     @property
     def part_list(self) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 from cags_bench.confidence import interval
@@ -88,7 +89,7 @@ def _policies(lines: list[JsonObject]) -> list[JsonObject]:
     """Gain of ``utility`` over ``paper`` in mean PSNR, paired by play."""
     plays = {(line["trace"], line["policy"]): line["psnr_db_by_play"] for line in lines}
     gains = {
-        trace: interval([a - b for a, b in zip(ours, plays[trace, "paper"], strict=True)])
+        trace: interval([_number(a) - _number(b) for a, b in zip(ours, plays[trace, "paper"], strict=True)])
         for (trace, policy), ours in plays.items()
         if policy == "utility" and (trace, "paper") in plays
     }
@@ -97,7 +98,7 @@ def _policies(lines: list[JsonObject]) -> list[JsonObject]:
         gain = gains[f"{STEADY}30"].mean
         out.append(check("utility over paper at 30 Mbps, dB", ">= 0.5", gain, gain >= 0.5))
     if gains:
-        trace, worst = min(gains.items(), key=lambda item: item[1].mean)
+        trace, worst = min(gains.items(), key=lambda item: -math.inf if math.isnan(item[1].mean) else item[1].mean)
         value = f"{worst if worst.bounded else format(worst.mean, '+.2f')} on {trace.removeprefix('generated:')}"
         out.append(check("utility over paper at worst, dB", ">= -0.1", value, worst.mean >= -0.1))
     return out
@@ -126,13 +127,19 @@ def _soak(lines: list[JsonObject]) -> list[JsonObject]:
 
 
 def _most(name: str, lines: list[JsonObject], key: str, limit: float) -> JsonObject:
-    worst = max((_number(line[key]) for line in lines), default=math.nan)
+    worst = _worst(max, lines, key)
     return check(name, f"<= {limit:g}", worst, worst <= limit)
 
 
 def _least(name: str, lines: list[JsonObject], key: str, limit: float) -> JsonObject:
-    worst = min((_number(line[key]) for line in lines), default=math.nan)
+    worst = _worst(min, lines, key)
     return check(name, f">= {limit:g}", worst, worst >= limit)
+
+
+def _worst(of: Callable[[list[float]], float], lines: list[JsonObject], key: str) -> float:
+    """The worst value; nan, which meets no limit, if there is none or any is missing."""
+    values = [_number(line.get(key)) for line in lines]
+    return of(values) if values and not any(map(math.isnan, values)) else math.nan
 
 
 def _number(value: Any) -> float:

@@ -30,6 +30,9 @@ EXAMPLES = """\
 
 PARTS = ("sending", "sockets", "cross", "first", "content", "realtime", "clients", "crowd", "soak")
 
+PLAYS = {"first", "content", "realtime", "clients"}
+"""Parts that play a scene."""
+
 
 @dataclass(frozen=True)
 class NetworkSettings:
@@ -74,6 +77,11 @@ class NetworkSettings:
         if unknown:
             raise ConfigError(f"parts = {unknown[0]!r} is unknown; known: {', '.join(PARTS)}")
 
+    @property
+    def trace_list(self) -> list[str]:
+        """Traces of the content part; none: the usual ones."""
+        return self.traces.split(",") if self.traces else []
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's flags."""
@@ -92,11 +100,34 @@ def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
         yield {"plot": str(plot_session(Path(arguments.plot)))}
         return
     settings = load_settings(NetworkSettings, arguments)
+    _check(settings)
     lines: list[dict[str, Any]] = []
     for line in _cases(settings):
         lines.append(line)
         yield line
     yield summary("network", checks(lines))
+
+
+def _check(settings: NetworkSettings) -> None:
+    """Refuse wrong inputs before anything is measured. Raises :class:`CagsError`."""
+    from cags_bench.inputs import check_scenes, check_traces, check_walks
+    from cags_client.frame import restore
+    from cags_common.lpips import Lpips
+    from cags_server.session.policies import check_choices
+    from cags_server.settings import ServerSettings
+
+    parts = set(settings.parts.split(","))
+    if parts & PLAYS:
+        check_walks([settings.poses])
+        restore.check_name(settings.restore)
+        check_scenes([settings.scene] if parts & (PLAYS - {"first"}) else [])
+        check_scenes([settings.first_scene] if "first" in parts else [])
+        if settings.lpips:
+            Lpips(settings.lpips)
+    if "content" in parts:
+        check_traces(settings.trace_list)
+        for policy in settings.policies.split(","):
+            check_choices(ServerSettings(abr=policy))
 
 
 def _cases(settings: NetworkSettings) -> Iterator[dict[str, Any]]:
@@ -137,10 +168,14 @@ def _plays(settings: NetworkSettings, parts: list[str]) -> Iterator[dict[str, An
     bundle = cached_bundle(settings.scene, settings.cache, EncodeSettings(frames=settings.frames))
     base: Scenario = scenario(bundle, settings)
     if "content" in parts:
-        traces = settings.traces.split(",") if settings.traces else [SLOW[-1], *CLIPS]
         policies = settings.policies.split(",")
         yield from content_lines(
-            traces, policies, base, like_splats=settings.like_splats, workers=workers, starts=settings.starts
+            settings.trace_list or [SLOW[-1], *CLIPS],
+            policies,
+            base,
+            like_splats=settings.like_splats,
+            workers=workers,
+            starts=settings.starts,
         )
     if "realtime" in parts:
         yield from realtime_lines(base, settings.like_splats)
@@ -154,11 +189,8 @@ def _first_pictures(settings: NetworkSettings) -> Iterator[dict[str, Any]]:
     from cags_bench.bundles import cached_bundle
     from cags_bench.network.content import first_picture_lines, scenario
     from cags_bench.network.sending import SLOW
-    from cags_common.lpips import Lpips
     from cags_encoder import EncodeSettings
 
-    if settings.lpips:
-        Lpips(settings.lpips)  # report an unreadable file before minutes of encoding
     bundle = cached_bundle(settings.first_scene, settings.cache, EncodeSettings())
     yield from first_picture_lines(scenario(bundle, settings), SLOW)
 

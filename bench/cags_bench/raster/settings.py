@@ -8,6 +8,9 @@ from pathlib import Path
 from cags_common.errors import ConfigError
 from cags_common.settings import check_settings, setting
 
+SIDES_PX = 10, 8192
+"""Smallest and largest side of an image."""
+
 
 @dataclass(frozen=True)
 class RasterSettings:
@@ -35,15 +38,19 @@ class RasterSettings:
 
     def __post_init__(self) -> None:
         check_settings(self)
+        self.size_list, self.thread_list, self.client_list, self.growth_list  # noqa: B018 - refuse what does not parse
 
     @property
     def size_list(self) -> list[tuple[int, int]]:
         """Image sizes, pixels."""
         try:
             pairs = [text.lower().split("x") for text in self.sizes.split(",")]
-            return [(int(width), int(height)) for width, height in pairs]
+            found = [(int(width), int(height)) for width, height in pairs]
         except ValueError as error:
             raise ConfigError(f"sizes = {self.sizes!r} must be like 400x300,800x600") from error
+        if not all(SIDES_PX[0] <= side <= SIDES_PX[1] for size in found for side in size):
+            raise ConfigError(f"sizes = {self.sizes!r}: sides must lie in {SIDES_PX[0]} to {SIDES_PX[1]} pixels")
+        return found
 
     @property
     def thread_list(self) -> list[int]:

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import mean, median
 
+from cags_bench.inputs import check_scenes, check_walks
 from cags_bench.jsonl import JsonObject, provenance, summary
 from cags_bench.parallel import in_parallel
+from cags_bench.programs import executable
 from cags_bench.references.before import played_before, read_baseline
 from cags_bench.references.cases import Case, cases_of, figures_of
 from cags_bench.references.checks import checks_of
@@ -57,7 +59,14 @@ class Play:
 
 
 def compared(settings: ReferenceBenchSettings) -> Iterator[JsonObject]:
-    """One line per case and method, interleaved with an earlier installation; then the summary."""
+    """One line per case and method, interleaved with an earlier installation; then the summary.
+
+    Raises :class:`CagsError`; wrong inputs are refused before anything is encoded.
+    """
+    if settings.before:
+        executable("before", settings.before)
+    check_walks(settings.walk_list)
+    check_scenes(settings.scene_list)
     earlier = read_baseline(Path(settings.baseline)) if settings.baseline else []
     methods = [*settings.method_list, *([EARLIER] if settings.before else [])]
     cases = list(cases_of(settings))

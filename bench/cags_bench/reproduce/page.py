@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,19 +13,21 @@ from cags_bench.jsonl import dump, provenance
 from cags_bench.reproduce.marking import titles
 from cags_bench.reproduce.plan import Plan
 from cags_bench.reproduce.section import Plot, Section, Strip
+from cags_common.files import writable_folder, write_whole
 
 CLAIMS = "claims.jsonl"
 
 
 def write_section(out: Path, section: Section) -> None:
-    """Write one experiment's table as ``NAME.jsonl`` and ``NAME.csv``."""
-    out.mkdir(parents=True, exist_ok=True)
+    """Write one experiment's table as ``NAME.jsonl`` and ``NAME.csv``. Raises :class:`OutputError`."""
+    writable_folder(out)
     lines = [line | provenance() for line in section.lines()]
-    (out / f"{section.name}.jsonl").write_text("".join(dump(line) + "\n" for line in lines), encoding="utf-8")
-    with (out / f"{section.name}.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(section.columns)
-        writer.writerows(section.rows)
+    write_whole(out / f"{section.name}.jsonl", "".join(dump(line) + "\n" for line in lines).encode())
+    table = io.StringIO(newline="")
+    writer = csv.writer(table)
+    writer.writerow(section.columns)
+    writer.writerows(section.rows)
+    write_whole(out / f"{section.name}.csv", table.getvalue().encode())
 
 
 def write_claims(out: Path, sections: Sequence[Section]) -> None:
@@ -33,7 +36,7 @@ def write_claims(out: Path, sections: Sequence[Section]) -> None:
     kept = [json.loads(line) for line in _lines_of(out / CLAIMS)]
     lines = [line for line in kept if line["experiment"] not in made]
     lines += [{"experiment": section.name, **one} | provenance() for section in sections for one in section.checks]
-    (out / CLAIMS).write_text("".join(dump(line) + "\n" for line in lines), encoding="utf-8")
+    write_whole(out / CLAIMS, "".join(dump(line) + "\n" for line in lines).encode())
 
 
 def _lines_of(path: Path) -> list[str]:
@@ -51,7 +54,7 @@ def write_page(out: Path, sections: Sequence[Section], plan: Plan) -> None:
         "same every time; speed is of the machine named above.</p>"
     )
     parts = [_summary(sections), intro, *map(_section, sections)]
-    (out / "index.html").write_text(html.page("Reproduction", parts), encoding="utf-8")
+    write_whole(out / "index.html", html.page("Reproduction", parts).encode())
 
 
 def _summary(sections: Sequence[Section]) -> str:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cags_bench.film.metrics import lacking
+from cags_bench.inputs import check_scenes, check_traces, check_walks
 from cags_bench.jsonl import check, provenance, summary
 from cags_bench.reproduce.cache import ResultCache
 from cags_bench.reproduce.cases import Runner
@@ -23,6 +24,7 @@ from cags_bench.reproduce.section import Section
 from cags_bench.reproduce.settings import ReproduceSettings
 from cags_bench.reproduce.words import page_text, renew
 from cags_common.errors import ConfigError
+from cags_common.files import writable_folder
 
 QUICK_LIMIT_MIN = 25.0
 
@@ -37,11 +39,16 @@ IN_PARTS = {"sessions", "rivals"}
 
 
 def reproduce(settings: ReproduceSettings) -> Iterator[dict[str, Any]]:
-    """Make the chosen experiments; every finished one is on disk before the next begins."""
+    """Make the chosen experiments; every finished one is on disk before the next begins.
+
+    Raises :class:`CagsError`; wrong inputs and outputs are refused before anything is computed.
+    """
     chosen = _chosen(settings)
     plan = _plan(settings)
     if settings.page:
         page_text(Path(settings.page))  # a wrong name is told now, not after the run
+    if chosen:
+        _check(settings, plan)
     context = Context(plan, Runner(ResultCache(), settings.cache, settings.device), _tell)
     out, sections = Path(settings.out), list[Section]()
     started = time.monotonic()
@@ -66,6 +73,13 @@ def reproduce(settings: ReproduceSettings) -> Iterator[dict[str, Any]]:
     yield summary(
         "reproduce", checks, experiments=[one.name for one in chosen], minutes=round(minutes, 2), out=str(out)
     )
+
+
+def _check(settings: ReproduceSettings, plan: Plan) -> None:
+    writable_folder(Path(settings.out))
+    check_walks([plan.poses])
+    check_traces([plan.trace])
+    check_scenes(plan.scenes)
 
 
 def _in_time(minutes: float) -> Section:

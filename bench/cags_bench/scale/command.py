@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from cags_bench.jsonl import check, provenance, summary
+from cags_bench.outputs import check_output_file
 from cags_bench.scale.cluster import Cluster, Load
 from cags_bench.scale.settings import ScaleSettings
+from cags_common.files import whole_file, write_whole
 from cags_common.settings import add_settings, load_settings
 
 SUMMARY = "Measure a server's cost per viewer, and the number of sessions that several servers carry."
@@ -32,6 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     """See :mod:`cags_bench.cli`."""
     settings = load_settings(ScaleSettings, arguments)
+    for name in ("plot", "table"):
+        if given := getattr(settings, name):
+            check_output_file(name, given)
     checks: list[dict[str, Any]] = []
     job_ms = settings.job_ms
     if job_ms is None:
@@ -47,7 +52,7 @@ def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
             yield lines[-1]
         if settings.table:
             text = f"{sizing_table(lines)}\n{sizing_caption(lines, provenance())}\n"
-            Path(settings.table).write_text(text, encoding="utf-8")
+            write_whole(Path(settings.table), text.encode())
         checks += judged(lines)
         job_ms = lines[0]["job_ms"]
     curve: dict[int, int] = {}
@@ -130,4 +135,5 @@ def _draw(curve: dict[int, int], path: Path) -> None:
     axes.set_xlabel("servers")
     axes.set_ylabel("sessions")
     axes.legend()
-    figure.savefig(path, dpi=110)
+    with whole_file(path) as writing:
+        figure.savefig(writing, dpi=110, format=path.suffix[1:].lower())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from cags_bench.outputs import PLOTS, check_suffix
 from cags_common.errors import ConfigError
 from cags_common.settings import check_settings, setting
 
@@ -32,7 +33,7 @@ class ScaleSettings:
     stay_s: float = setting(20.0, "mean length of a session, seconds", low=0.1, high=1e5)
     seconds: float = setting(30.0, "virtual length of a run of the model, seconds", low=1.0, high=3600.0)
     seed: int = setting(1, "seed of walks, arrivals and departures", low=0)
-    plot: str = setting("", "PNG file for the curve; empty: none")
+    plot: str = setting("", "picture file for the curve (.png, .svg or .pdf); empty: none")
     table: str = setting("", "Markdown file for the sizing table; empty: none")
     cache: str = setting("", "folder of encoded bundles to reuse; empty: the user's cache folder")
 
@@ -43,3 +44,10 @@ class ScaleSettings:
                 raise ConfigError(
                     f"sizes = {self.sizes!r}: {size!r} is not a number of splats; give for example 10000,30000"
                 )
+        if self.plot:
+            check_suffix("plot", self.plot, PLOTS)
+        if self.table and self.job_ms is not None:
+            raise ConfigError(
+                f"table = {self.table!r} needs a measured server, and with job_ms = {self.job_ms:g} none is; "
+                "leave out --table or --job-ms"
+            )

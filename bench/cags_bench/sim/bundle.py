@@ -15,7 +15,7 @@ import numpy as np
 
 from cags_common.bundle import BundlePlayer, BundleReader, Manifest
 from cags_common.bundle.manifest import MAX_MANIFEST_BYTES
-from cags_common.bundle.reader import MANIFEST_NAME
+from cags_common.bundle.reader import MANIFEST_NAME, naming
 from cags_common.bundle.source import SourceDelta, SourceFrame
 from cags_common.bundle.store import UrlStore
 from cags_common.splats import Splats
@@ -62,10 +62,14 @@ class PublishedReader(BundleReader):
 
     @classmethod
     def at(cls, folder: Path, codebooks: str) -> PublishedReader:
-        """Open ``folder`` with the codebooks in the file ``codebooks``."""
-        store = UrlStore(str(folder))
-        manifest = Manifest.from_json(store.read_all(MANIFEST_NAME, MAX_MANIFEST_BYTES))
-        return cls(store, manifest, store.read_all(codebooks, MAX_CODEBOOK_BYTES))
+        """Open ``folder`` with the codebooks in the file ``codebooks``.
+
+        Raises :class:`BundleError` or :class:`DecodeError`, which name the folder.
+        """
+        with naming(str(folder)):
+            store = UrlStore(str(folder))
+            manifest = Manifest.from_json(store.read_all(MANIFEST_NAME, MAX_MANIFEST_BYTES))
+            return cls(store, manifest, store.read_all(codebooks, MAX_CODEBOOK_BYTES))
 
     def source(self, frame: int) -> SourceFrame:
         """See :meth:`BundleReader.source`; all splats alive in ``frame``, with every layer."""

@@ -13,6 +13,7 @@ from cags_bench.stream.play import Play
 from cags_bench.stream.settings import StreamSettings, changed
 from cags_common.errors import ConfigError
 
+BETTER, WORSE = "better", "worse"
 NO_DIFFERENCE = "no difference seen"
 UNSURE = "one seed is not enough"
 
@@ -85,7 +86,7 @@ def _compared(
         differences[figure.key] = {"means": means, "difference": _as_json(found), "verdict": verdict}
         if figure.better:
             name = f"{figure.name}: {second[0]} is not worse than {first[0]}"
-            checks.append(check(name, "not surely worse", f"{found}", not verdict.startswith("worse")))
+            checks.append(check(name, "not surely worse", f"{found}", found.bounded and verdict != WORSE))
     name = settings.compare.partition("=")[0]
     compared = {"name": name, "values": [first[0], second[0]], "seeds": len(settings.seed_list)}
     return summary("stream", checks, compare=compared, figures=differences, **_shared([*first[1], *second[1]]))
@@ -99,7 +100,7 @@ def verdict_of(figure: Figure, found: Interval) -> str:
         return NO_DIFFERENCE
     higher = found.low > 0.0
     if figure.better in (HIGHER, LOWER):
-        return "better" if higher == (figure.better == HIGHER) else "worse"
+        return BETTER if higher == (figure.better == HIGHER) else WORSE
     return "more" if higher else "less"
 
 

@@ -11,7 +11,9 @@ from typing import Any
 from cags_bench.bundles import cached_bundle, frames_of
 from cags_bench.film.film import Film, FilmMaker
 from cags_bench.film.metrics import lacking, measure
+from cags_bench.inputs import check_traces, check_walks
 from cags_bench.jsonl import dump
+from cags_bench.outputs import check_output_file
 from cags_bench.sim.bundle import is_bundle, open_bundle
 from cags_bench.sim.session import Scenario, SessionResult, Watcher, simulate, watched_by
 from cags_bench.sim.truth import LastTruth
@@ -25,7 +27,6 @@ from cags_common import raster
 from cags_common.errors import ConfigError
 from cags_common.files import writable_folder
 from cags_common.lpips import SMALLEST_SIDE_PX, Lpips
-from cags_common.poses import Focus, open_poses
 from cags_encoder import EncodeSettings
 from cags_server.session.policies import check_choices
 from cags_shaper.trace import open_trace
@@ -51,8 +52,8 @@ class Play:
         align.create(client.align)
         for rasteriser in (server.rasteriser, client.raster):
             raster.create(rasteriser)
-        open_trace(settings.trace)
-        open_poses(settings.poses, Focus((0.0, 0.0, 0.0), 1.0, (0.0, 1.0, 0.0)))
+        check_traces([settings.trace])
+        check_walks([settings.poses])
         if settings.lpips:
             Lpips(settings.lpips)
             if min(client.width, client.height) < SMALLEST_SIDE_PX:
@@ -69,11 +70,7 @@ class Play:
     def check_outputs(self) -> None:
         """Refuse files and folders that cannot be written; make the report's folder. Raises :class:`CagsError`."""
         if self.settings.record:
-            record = self._beside(Path(self.settings.record))
-            if record.is_dir() or not record.parent.is_dir():
-                what = f"{record} is a folder" if record.is_dir() else f"there is no folder {record.parent}"
-                raise ConfigError(f"record = {self.settings.record!r}: {what}; name a file in an existing one")
-            writable_folder(record.parent)
+            check_output_file("record", self.settings.record, self._beside(Path(self.settings.record)))
         if self.settings.out:
             writable_folder(self._beside(Path(self.settings.out)))
 

@@ -10,7 +10,6 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from cags_bench.bundles import cached_bundle
@@ -19,25 +18,37 @@ from cags_bench.web import cost, hosts
 from cags_bench.web.browser import chromium, programs
 from cags_bench.web.settings import PUBLISHED, SERVER, SOURCES, WebBenchSettings
 from cags_bench.web.watch import Picture, Watched, watch
+from cags_client.output.files import write_png
 from cags_common import raster
+from cags_common.bundle import BundleReader
 from cags_common.errors import ConfigError
+from cags_common.files import writable_folder
 from cags_common.raster.base import RenderOptions
 from cags_encoder import EncodeSettings
 from cags_encoder.bundles.publish import PAGE_SUFFIXES, built_page, publish
 from cags_encoder.scenes import FrameSource, open_scene
+from cags_shaper.trace import open_trace
 
 MOST_PAGE_BYTES = 1_500_000
 FIRST_LINK, FIRST_PICTURE_S = "generated:steady-10", 1.0
 SLOWEST_LINK, FASTEST_LINK = "generated:steady-2", "generated:steady-20"
 KEPT_PICTURES = 6
+ENOUGH = 2.0
+"""A link suffices if it never carries less than so many times what the lowest level needs."""
+
+SHORTAGES = {PUBLISHED: ("stalls", "waits for data"), SERVER: ("frames_missed", "frames shown without their data")}
+"""What must not happen on such links: a published folder's page waits for data, a server's shows frames without it."""
+
 TIMEOUT_S = 20
 
 
 def plays(settings: WebBenchSettings) -> Iterator[JsonObject]:
     """Lines of the host, of the worker's cost and of each link and source, then the summary.
 
-    Raises :class:`CagsError` where a part is not here.
+    Raises :class:`CagsError` where a part is not here or pictures cannot be written.
     """
+    if settings.pictures:
+        writable_folder(Path(settings.pictures))
     programs()
     page = built_page()
     if page is None:
@@ -137,7 +148,28 @@ def _play(
     if settings.pictures:
         _keep(Path(settings.pictures) / f"{source}-{link.rpartition(':')[2]}.png", play.pictures, truth)
     page_bytes = sum(len(body) for _, _, body in page)
-    return {"case": "play", "source": source, "link": link, "page_bytes": page_bytes, **figures(play, truth)}
+    rates = {"needed_mbps": needed_mbps(bundle), "least_mbps": least_mbps(link, settings.seconds)}
+    return {"case": "play", "source": source, "link": link, "page_bytes": page_bytes, **rates, **figures(play, truth)}
+
+
+def needed_mbps(bundle: Path) -> float:
+    """Rate below which ``bundle`` cannot play without waiting: the most that the lowest level takes in any second.
+
+    The first frame is not part of it, because playing begins after it.
+    """
+    with BundleReader.open(str(bundle)) as reader:
+        count, second = reader.manifest.frames, round(reader.manifest.fps)
+        frames = map(reader.frame, range(1, count))
+        sizes = [frame.removed_bytes + sum(tile.lod_bytes[0] for tile in frame.tiles) for frame in frames]
+    windows = range(max(len(sizes) - second, 0) + 1)
+    return max(sum(sizes[first : first + second]) for first in windows) * 8 / 1e6
+
+
+def least_mbps(link: str, seconds: float) -> float:
+    """The least rate of any whole second of the first ``seconds`` of a trace."""
+    trace = open_trace(link)
+    starts = range(max(int(seconds), 1))
+    return min(trace.mean_bps(start * 1_000_000, (start + 1) * 1_000_000) for start in starts) / 1e6
 
 
 def figures(play: Watched, truth: Truth) -> JsonObject:
@@ -218,8 +250,7 @@ def _keep(path: Path, pictures: list[Picture], truth: Truth) -> None:
         return
     step = max(1, len(pictures) // KEPT_PICTURES)
     columns = [np.vstack([one.pixels, truth.drawn(one)]) for one in pictures[::step]]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(path), np.hstack(columns)[..., ::-1])
+    write_png(path, np.hstack(columns))
 
 
 def checks(lines: Sequence[JsonObject]) -> list[JsonObject]:
@@ -253,9 +284,9 @@ def _play_checks(line: JsonObject) -> Iterator[JsonObject]:
     yield check(f"plays: frames displayed, {name}", "> 1", shown, shown > 1)
     yield check(f"jumps to the middle, {name}", "a picture", line["seek_s"], line["seek_s"] == line["seek_s"])
     yield check(f"complaints, {name}", "0", len(line["complaints"]), not line["complaints"])
-    if line["source"] == PUBLISHED:
-        missed = line["frames_missed"]
-        yield check(f"frames shown without their data, {name}", "0", missed, missed == 0)
+    if line["least_mbps"] >= ENOUGH * line["needed_mbps"]:
+        key, what = SHORTAGES[line["source"]]
+        yield check(f"{what} on a link that suffices, {name}", "0", line[key], line[key] == 0)
     if line["link"] == FIRST_LINK:
         for of, what in (
             ("data_s", "data of the first picture"),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import TracebackType
 
 from cags_common.bundle.codecs import AnyTile, MotionTile, anchors_of, tile_codec
@@ -34,6 +36,22 @@ def weights_name(crc: int) -> str:
     return f"weights-{crc:08x}.npz"
 
 
+@contextmanager
+def naming(url: str) -> Iterator[None]:
+    """Errors of what the bundle at ``url`` contains name it first, and say to encode the scene again.
+
+    Errors that name it already, such as those of its store, stay as they are.
+    """
+    try:
+        yield
+    except (BundleError, DecodeError) as error:
+        text = str(error)
+        if text.startswith((f"{url}:", f"{url}/")):
+            raise
+        way_out = "" if text.endswith("encode again") else "; encode the scene again"
+        raise type(error)(f"{url}: {text}{way_out}") from error
+
+
 ANCHORS_BYTES = 16 << 20
 """Bound on the anchors in memory, which chunks of motion are decoded by."""
 
@@ -58,13 +76,17 @@ class BundleReader:
 
     @classmethod
     def open(cls, url: str) -> BundleReader:
-        """Open the bundle at ``url`` (folder or fsspec URL). Raises :class:`BundleError` or :class:`DecodeError`."""
-        store = UrlStore(str(url))
-        manifest = Manifest.from_json(store.read_all(MANIFEST_NAME, MAX_MANIFEST_BYTES))
-        if not manifest.gofs:
-            raise BundleError(f"{url}: its manifest is the public part only and says nothing of files")
-        codebooks = store.read_all(CODEBOOKS_NAME, MAX_CODEBOOK_BYTES)
-        return cls(store, manifest, codebooks)
+        """Open the bundle at ``url`` (folder or fsspec URL).
+
+        Raises :class:`BundleError` or :class:`DecodeError`, which name the bundle and say what to do.
+        """
+        with naming(str(url)):
+            store = UrlStore(str(url))
+            manifest = Manifest.from_json(store.read_all(MANIFEST_NAME, MAX_MANIFEST_BYTES))
+            if not manifest.gofs:
+                raise BundleError(f"{url}: its manifest is the public part only and says nothing of files")
+            codebooks = store.read_all(CODEBOOKS_NAME, MAX_CODEBOOK_BYTES)
+            return cls(store, manifest, codebooks)
 
     def __enter__(self) -> BundleReader:
         return self

@@ -21,7 +21,8 @@ from pathlib import Path
 from typing import Any
 
 from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, Manifest
-from cags_common.bundle.store import UrlStore, remove_tree
+from cags_common.bundle.reader import naming
+from cags_common.bundle.store import UrlStore, remove_tree, written_folder
 from cags_common.errors import ConfigError, OutputError
 
 MAX_BLOB_BYTES = 2**28
@@ -46,15 +47,16 @@ class Published:
 def publish(url: str, folder: Path, page: Path | None) -> Published:
     """Copy the bundle at ``url`` to ``folder``, together with the built viewer from ``page`` (None: without a viewer).
 
-    ``folder`` must be new or empty, and stays so if anything fails. Raises :class:`ConfigError` if it is neither,
-    :class:`OutputError` if it cannot be written, and :class:`cags_common.errors.BundleError` if ``url`` holds no whole
-    bundle.
+    ``folder`` must be new or empty, outside of the bundle, and stays so if anything fails. Raises
+    :class:`ConfigError` if it is not, :class:`OutputError` if it cannot be written, and
+    :class:`cags_common.errors.BundleError` if ``url`` holds no whole bundle.
     """
     try:
-        _check_folder(folder)
+        _check_folder(url, folder)
         store = UrlStore(url)
         data = store.read_all("manifest.json", MAX_MANIFEST_BYTES)
-        Manifest.from_json(data)
+        with naming(url):
+            Manifest.from_json(data)
         with _all_or_nothing(folder) as writing:
             _write(store, json.loads(data), page, writing)
         written = [path for path in folder.rglob("*") if path.is_file()]
@@ -63,7 +65,13 @@ def publish(url: str, folder: Path, page: Path | None) -> Published:
         raise OutputError.of(folder, error) from error
 
 
-def _check_folder(folder: Path) -> None:
+def _check_folder(url: str, folder: Path) -> None:
+    bundle = written_folder(url)
+    if bundle is not None and Path(os.path.realpath(folder)).is_relative_to(bundle):
+        raise ConfigError(
+            f"publish = {folder}: lies inside the bundle {url}, which could not be replaced any more; give a folder "
+            "outside of it"
+        )
     if folder.is_dir():
         if any(folder.iterdir()):
             raise ConfigError(f"publish = {folder}: is not empty; give an empty or a new folder")

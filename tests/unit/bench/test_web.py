@@ -15,11 +15,13 @@ from cags_bench.jsonl import JsonObject
 from cags_bench.web import hosts
 from cags_bench.web.browser import BrowserError, programs
 from cags_bench.web.cost import SPLATS, Swarm, answer, cost
-from cags_bench.web.experiment import COMPARED, Truth, beside, checks, figures, hosted
+from cags_bench.web.experiment import COMPARED, Truth, beside, checks, figures, hosted, least_mbps, needed_mbps
 from cags_bench.web.settings import WebBenchSettings
 from cags_bench.web.watch import Picture, Watched
+from cags_common.bundle import BundleReader
 from cags_common.errors import CagsError, ConfigError
 from cags_common.geometry import Camera, Intrinsics, Pose
+from cags_encoder import EncodeSettings, encode
 from cags_encoder.bundles.publish import built_page
 from cags_encoder.scenes import open_scene
 
@@ -96,7 +98,8 @@ def play_line(**of: object) -> JsonObject:
     line: JsonObject = {
         **dict.fromkeys(("asked_s", "data_s", "picture_s", "full_share", "seek_s"), 0.5),
         **{"case": "play", "source": "published", "link": "generated:steady-10", "page_bytes": 1_000},
-        **{"frames_displayed": 9, "frames_missed": 0, "complaints": []},
+        **{"frames_displayed": 9, "frames_missed": 0, "stalls": 0, "complaints": []},
+        **{"needed_mbps": 1.0, "least_mbps": 10.0},
     }
     return {**line, **of}
 
@@ -122,7 +125,7 @@ def test_every_target_is_a_check_that_can_fail() -> None:
         play_line(
             page_bytes=1_500_001,
             frames_displayed=1,
-            frames_missed=1,
+            stalls=1,
             seek_s=math.nan,
             data_s=1.1,
             picture_s=math.nan,
@@ -130,6 +133,33 @@ def test_every_target_is_a_check_that_can_fail() -> None:
         ),
     ]
     assert len(failed(*bad)) == 13
+
+
+@pytest.mark.parametrize(
+    ("source", "short", "words"),
+    [("published", "stalls", "waits for data"), ("server", "frames_missed", "frames shown without their data")],
+)
+def test_only_links_that_suffice_must_carry_everything(source: str, short: str, words: str) -> None:
+    suffices = play_line(source=source, **{short: 1})
+    assert failed(suffices) == [f"{words} on a link that suffices, {source}, generated:steady-10"]
+    assert not failed({**suffices, "needed_mbps": 5.1})
+    assert not failed({**suffices, short: 0, ("stalls" if source == "server" else "frames_missed"): 1})
+
+
+def test_what_a_clip_needs_and_what_a_link_carries(tmp_path: Path) -> None:
+    scene, settings = open_scene("procedural:size=500,frames=6,fps=2"), EncodeSettings(motion="none", lod_order="paper")
+    encode(scene, settings, str(tmp_path / "b"))
+    with BundleReader.open(str(tmp_path / "b")) as reader:
+        frames = [reader.frame(index) for index in range(1, 6)]
+        sizes = [frame.removed_bytes + sum(tile.lod_bytes[0] for tile in frame.tiles) for frame in frames]
+    most = max(first + second for first, second in itertools.pairwise(sizes))
+    assert needed_mbps(tmp_path / "b") == pytest.approx(most * 8 / 1e6)
+    assert 0 < most < sum(sizes)
+    assert least_mbps("generated:steady-10", 12) == pytest.approx(10, rel=0.01)
+    link = tmp_path / "link.csv"
+    link.write_text("time_s,mbps\n0,10\n3,1\n6,1\n")
+    assert least_mbps(str(link), 3) == pytest.approx(10, rel=0.05)
+    assert least_mbps(str(link), 5) == pytest.approx(1, rel=0.05)
 
 
 def test_a_faster_link_shows_no_less() -> None:

@@ -48,6 +48,20 @@ def test_what_is_misspelt_is_told_without_a_server(
     assert said.count("\n") == 1
 
 
+def test_a_step_of_pictures_without_their_folder_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([*NOWHERE, "--stages-every", "5"]) == 2
+    assert "--stages-every is an option of --stages; add --stages DIR or leave it out" in capsys.readouterr().err
+    assert cli.main([*NOWHERE, "--stages", "pictures", "--stages-every", "5"]) == 1
+    assert "no server answers" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("seconds", "frames"), [(0.001, 1), (0.01, 1), (0.3, 9), (0.34, 10), (60.0, 25), (None, 25)])
+def test_frames_of_a_play_are_counted_as_the_player_does(seconds: float | None, frames: int) -> None:
+    """``--duration 0.01`` shows one frame, and said that it was one of none."""
+    info = Manifest("t", 30.0, 30, (0,), (1,), 0, ((0, 0, 0), (1, 1, 1)), (), ())
+    assert cli._frames(ClientSettings(duration=seconds, start_frame=5), info) == frames
+
+
 @pytest.mark.parametrize("restore", ["correct", "none", "reference", "srresnet@torch"])
 def test_what_is_right_goes_on_to_the_server(capsys: pytest.CaptureFixture[str], restore: str) -> None:
     assert cli.main([*NOWHERE, "--restore", restore]) == 1

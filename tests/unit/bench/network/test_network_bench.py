@@ -118,6 +118,32 @@ def test_content_checks_judge_the_worst_trace():
     )
 
 
+@pytest.mark.parametrize("value", [None, float("nan"), "missing"])
+@pytest.mark.parametrize("first", [True, False])
+def test_a_target_is_missed_where_any_value_is_missing(value, first):
+    """max and min pass over such values, depending on where they stand."""
+    good = {"case": "crowd", "seconds": 1.0, "silent_sessions": 0}
+    bad = {"case": "crowd", "seconds": value, "silent_sessions": 0}
+    if value == "missing":
+        del bad["seconds"]
+    seconds, silent = checks([bad, good] if first else [good, bad])
+    assert (seconds["ok"], silent["ok"]) == (False, True)
+    least = {"case": "sending", "latency_ms": 1.0, "estimate_error": 0.0, "trace": "generated:steady-2"}
+    lines = [least | {"utilisation": 0.9}, least | ({} if value == "missing" else {"utilisation": value})]
+    assert not checks(lines if first else lines[::-1])[0]["ok"]
+
+
+def test_a_policy_whose_quality_is_unknown_anywhere_is_not_said_to_gain():
+    lines = [
+        {"case": "content", "trace": trace, "policy": policy, "black_frames": 0, "recovery_ms": None}
+        | {"psnr_db_by_play": [None if (trace, policy) == ("b", "utility") else 30.0, 31.0]}
+        for trace in ("a", "b", "c")
+        for policy in ("paper", "utility")
+    ]
+    (worst,) = [c for c in checks(lines) if "at worst" in c["name"]]
+    assert (worst["ok"], worst["value"]) == (False, "+nan on b")
+
+
 @pytest.mark.parametrize(("share", "ok"), [(0.11, False), (0.10, True)])
 def test_missed_frames_of_falling_links_have_a_limit(share, ok):
     line = {"case": "content", "psnr_db_by_play": [30.0], "black_frames": 0, "recovery_ms": None}

@@ -138,6 +138,13 @@ def test_a_state_compared_with_its_equal_shows_no_difference(settings: StreamSet
     assert all(one["ok"] for one in last["checks"])
 
 
+def test_one_seed_meets_no_target(settings: StreamSettings) -> None:
+    """Every check used to be met, because a single play never shows that anything is worse."""
+    *_, last = stream_lines(replace(settings, compare="restore=none,correct", seeds=1))
+    assert {found["verdict"] for found in last["figures"].values()} == {experiment.UNSURE}
+    assert last["checks"] and not any(one["ok"] for one in last["checks"])
+
+
 @pytest.mark.parametrize("text", ["abr", "abr=", "abr=paper", "abr=paper,", "abr=paper,paper", "abr=a,b,c"])
 def test_a_comparison_needs_two_values(settings: StreamSettings, text: str) -> None:
     with pytest.raises(ConfigError, match=r"compare = .* must be NAME=A,B with two values, like abr=paper,utility"):

@@ -44,6 +44,19 @@ def test_a_folder_with_files_and_a_file_are_refused(
     assert file.read_text() == "mine" and names(tmp_path) == ["file"]
 
 
+@pytest.mark.parametrize("place", ["b/site", "b/deep/site", "b/../b/site", "link/site", "b/source/site"])
+def test_a_folder_inside_the_bundle_is_refused(place: str, bundle: Path, tmp_path: Path) -> None:
+    """A bundle that holds other files is not replaced, so ``cags-encode`` would refuse to encode it again."""
+    shutil.copytree(bundle, tmp_path / "b")
+    (tmp_path / "link").symlink_to(tmp_path / "b")
+    before = names(tmp_path / "b")
+    for url in (str(tmp_path / "b"), f"file://{tmp_path / 'link'}"):
+        with pytest.raises(ConfigError, match=r"lies inside the bundle .*; give a folder outside of it"):
+            publish(url, tmp_path / place, None)
+    assert names(tmp_path / "b") == before
+    publish(str(tmp_path / "b"), tmp_path / "bsite", None)
+
+
 @pytest.mark.parametrize("there", [True, False])
 @pytest.mark.parametrize("lost", ["manifest.json", "codebooks.bin", "gof_0000.bin"])
 def test_a_bundle_that_is_not_whole_leaves_nothing(lost: str, there: bool, bundle: Path, tmp_path: Path) -> None:
