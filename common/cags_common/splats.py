@@ -30,6 +30,11 @@ MAX_SPLATS = 20_000_000
 MAX_COORDINATE = 1e30
 """Means lie below it: their products must stay finite in single precision, and bundles carry their bounds."""
 
+MAX_COEFFICIENT = 1e15
+"""Coefficients of colour and harmonics lie below it: squares of their differences must stay finite, too."""
+
+_BOUNDS = {"means": MAX_COORDINATE, "sh0": MAX_COEFFICIENT, "sh_rest": MAX_COEFFICIENT}
+
 Ids: TypeAlias = NDArray[np.int32]
 
 
@@ -70,8 +75,8 @@ class Splats:
         """These splats as contiguous float32 with unit quaternions; ``source`` names them in errors.
 
         Raises :class:`SceneError` for wrong shapes, no splats at all, non-finite values (by attribute and index), means
-        beyond :data:`MAX_COORDINATE` and zero quaternions. Infinite opacity logits are legal in real files (opacity
-        exactly 0 or 1): clamped to +-20.
+        beyond :data:`MAX_COORDINATE`, coefficients beyond :data:`MAX_COEFFICIENT` and zero quaternions. Infinite
+        opacity logits are legal in real files (opacity exactly 0 or 1): clamped to +-20.
         """
         out = {name: np.ascontiguousarray(array, dtype=np.float32) for name, array in self.arrays()}
         n = len(out["means"])
@@ -88,13 +93,14 @@ class Splats:
                 raise SceneError(
                     f"{found}; repair the file, or leave such splats out by the scene's option repair=drop"
                 )
-        far = (np.abs(out["means"]) >= np.float32(MAX_COORDINATE)).any(axis=1)
-        if far.any():
-            index = int(np.argmax(far))
-            raise SceneError(
-                f"{source}: means[{index}] = {out['means'][index].tolist()} lies beyond {MAX_COORDINATE:g}; "
-                "repair the file, or leave such splats out by the scene's option repair=drop"
-            )
+        for name, bound in _BOUNDS.items():
+            far = beyond_bounds(name, out[name])
+            if far.any():
+                index = int(np.argmax(far))
+                raise SceneError(
+                    f"{source}: {name}[{index}] = {out[name][index].tolist()} lies beyond {bound:g}; "
+                    "repair the file, or leave such splats out by the scene's option repair=drop"
+                )
         out["quats"] = _canonical_quats(out["quats"], source)
         return Splats(**out)
 
@@ -145,6 +151,16 @@ def check_shapes(arrays: Mapping[str, F32], source: str) -> None:
     rest = arrays["sh_rest"]
     if rest.ndim != 3 or rest.shape[0] != n or rest.shape[2] != 3 or rest.shape[1] not in SH_REST_OF_DEGREE:
         raise SceneError(f"{source}: sh_rest has shape {rest.shape}, expected ({n}, 0|3|8|15, 3)")
+
+
+def beyond_bounds(column: str, values: F32) -> NDArray[np.bool_]:
+    """Which rows of ``values`` [n, ...] of a ``column`` of splats have a magnitude that is too large; not those with
+    NaN.
+    """
+    if column not in _BOUNDS:
+        return np.zeros(len(values), np.bool_)
+    largest: F32 = np.abs(values).reshape(len(values), -1).max(axis=1, initial=0.0)
+    return largest >= np.float32(_BOUNDS[column])
 
 
 def _canonical_quats(quats: F32, source: str) -> F32:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cags_common.bundle import BundleWriter, Manifest, Pruning
 from cags_common.bundle.first_view import thumbnail
-from cags_common.bundle.manifest import MotionSteps
+from cags_common.bundle.manifest import MAX_LENGTH, MotionSteps
 from cags_common.bundle.quality import LodQuality
 from cags_common.bundle.reader import THUMBNAIL_NAME
 from cags_common.bundle.view import AuthorView, read_view
@@ -134,6 +134,11 @@ class _Encoding:
         CLIP_CODECS.find(settings.codec)
         if settings.lod_order not in NAMED_ORDERS and not Path(settings.lod_order).is_fifo():  # pipes are read once
             order_in_file(settings.lod_order)
+        if source.focus.radius > MAX_LENGTH:
+            raise SceneError(
+                f"{source.name}: its focus has a radius of {source.focus.radius:g}; bundles hold up to {MAX_LENGTH:g}: "
+                "give the scene in larger units"
+            )
         self._view: AuthorView | None = read_view(settings.view) if settings.view else None
         self._source, self._settings, self._workers, self._tell = source, settings, workers, tell
         self._journal: Journal | None = None

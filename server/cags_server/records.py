@@ -106,9 +106,11 @@ class StreamStats:
     references_late: int = 0
     references: int = 0
     bytes_tiles: int = 0
+    """Payloads of messages that were sent to their end; the same of references and of all others."""
     bytes_reference: int = 0
     bytes_other: int = 0
     bytes_dropped: int = 0
+    """Sent of messages that the client did not get."""
     mirror_bytes: int = 0
     """Memory of the copy of what the client shows."""
     careful: ReferenceCosts = field(default_factory=ReferenceCosts)

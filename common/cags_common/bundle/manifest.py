@@ -26,6 +26,9 @@ MAX_MANIFEST_BYTES = 16 * 2**20
 MAX_FRAMES = 1_000_000
 MAX_STILL = 64
 
+MAX_LENGTH = 1e12
+"""Largest radius of the focus and largest unit of motion, world units."""
+
 
 @dataclass(frozen=True, slots=True)
 class FileEntry:
@@ -113,8 +116,8 @@ class Manifest:
     """(frames, PSNR) by rising frames: renders of a frame against those of the frame so many later, in the mean over
     the clip; empty when it was not measured."""
     outdated_db: float | None = None
-    """Squared visible error of the attributes that updates replace, relative to that of the updates' level 0, dB, in
-    the mean over the clip; None when it was not measured, or there are no updates."""
+    """Squared visible error of the attributes that updates replace, at the end of their ramps, relative to that of the
+    updates' level 0, dB, in the mean over the clip; None when it was not measured, or there are no updates."""
     version: int = VERSION
 
     @property
@@ -190,7 +193,7 @@ def _checked(fields: Fields) -> Manifest:
         quantiser=fields.text("quantiser"),
         up=fields.vector("up"),
         focus_centre=fields.vector("focus_centre"),
-        focus_radius=fields.number("focus_radius", 0.0, 1e12),
+        focus_radius=fields.number("focus_radius", 0.0, MAX_LENGTH),
         near=fields.number("near", 1e-9, 1e9),
         pruning=_pruning(fields.inner("pruning")) if fields.has("pruning") else None,
         motion=_motion(fields.inner("motion")) if fields.has("motion") else None,
@@ -240,7 +243,7 @@ def _pruning(fields: Fields) -> Pruning:
 
 def _motion(fields: Fields) -> MotionSteps:
     def step(field: Fields) -> float:
-        return field.number("", 0.0, 1e12)
+        return field.number("", 0.0, MAX_LENGTH)
 
     moves, turns = (fields.many(name, step, 1 << MAX_BASE_BITS) for name in ("moves", "turns"))
     if len(moves) != len(turns):

@@ -80,10 +80,15 @@ class BundleWriter:
             file.write(quality.to_json())
 
     def commit(self, manifest: Manifest) -> Manifest:
-        """Write the manifest with the groups' files filled in, and put the bundle in its place."""
+        """Write the manifest with the groups' files filled in, and put the bundle in its place.
+
+        Raises :class:`BundleError` for a manifest that no reader would take, and leaves the bundle before in its place.
+        """
         complete = replace(manifest, gofs=tuple(self._gofs))
+        text = complete.to_json()
+        Manifest.from_json(text)
         with self.open_file(MANIFEST_NAME) as file:
-            file.write(complete.to_json())
+            file.write(text)
         self._place.finish()
         self._committed = True
         return complete

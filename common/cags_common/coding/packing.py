@@ -147,11 +147,16 @@ def encode_ids(ids: Ids) -> bytes:
     return _IDS_HEADER.pack(len(ids), int(ids[0])) + gzip_bytes(planes.tobytes())
 
 
-def decode_ids(data: bytes | memoryview, *, what: str = "id list", limit: int = MAX_SPLATS) -> Ids:
-    """Inverse of :func:`encode_ids`: [n] int32, strictly ascending, all below ``limit``.
+def decode_ids(
+    data: bytes | memoryview, *, what: str = "id list", limit: int = MAX_SPLATS, expected: int | None = None
+) -> Ids:
+    """Inverse of :func:`encode_ids`: [n] int32, strictly ascending, all below ``limit``; ``expected``: how many.
 
-    Raises :class:`DecodeError`.
+    Raises :class:`DecodeError`, of another number before anything is inflated.
     """
+    claimed = _IDS_HEADER.unpack_from(data)[0] if len(data) >= _IDS_HEADER.size else 0
+    if expected is not None and claimed != expected:
+        raise DecodeError(f"{what}: claims {claimed} ids for {expected} splats")
     if len(data) == 0:
         return np.zeros(0, np.int32)
     if len(data) < _IDS_HEADER.size:

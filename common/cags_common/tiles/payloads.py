@@ -217,10 +217,8 @@ def _read_header(payload: bytes | memoryview, attributes: int | None) -> _Header
 def _read_ids(payload: bytes | memoryview, head: _Header) -> Ids:
     if head.first_id is not None:
         return np.arange(head.first_id, head.first_id + head.splats, dtype=np.int32)
-    ids = decode_ids(memoryview(payload)[_BASE_HEADER.size : _BASE_HEADER.size + head.id_bytes], what="tile ids")
-    if len(ids) != head.splats:
-        raise DecodeError(f"tile: has {len(ids)} ids for {head.splats} splats")
-    return ids
+    listed = memoryview(payload)[_BASE_HEADER.size : _BASE_HEADER.size + head.id_bytes]
+    return decode_ids(listed, what="tile ids", expected=head.splats)
 
 
 def _draco_encode(cells: U32, bits: int) -> bytes:

@@ -214,9 +214,7 @@ def _parts(payload: bytes | memoryview) -> _Parts:
     for size in sizes:
         cut.append(view[at : at + size])
         at += size
-    ids = decode_ids(cut[0], what="update's ids")
-    if len(ids) != splats:
-        raise DecodeError(f"update: has {len(ids)} ids for {splats} splats")
+    ids = decode_ids(cut[0], what="update's ids", expected=splats)
     return _Parts(ids, attributes, cut[1], cut[2], view[at:])
 
 

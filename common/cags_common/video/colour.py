@@ -50,11 +50,6 @@ _FORWARD = _to_ycbcr()
 _BACKWARD = _to_rgb(_FORWARD)
 
 
-BLACK_CODES = (_BLACK, _CHROMA_ZERO, _CHROMA_ZERO)
-CODE_SPANS = (_LUMA_SPAN, _CHROMA_SPAN, _CHROMA_SPAN)
-"""YCbCr codes of black, and how many codes the full range of luma, Cb and Cr spans."""
-
-
 def ycbcr_of_rgb(rgb: NDArray[Any]) -> F32:
     """YCbCr [H, W, 3] float32 in 8-bit codes, not rounded, of an RGB image, float in [0, 1] (clipped) or uint8."""
     unit = rgb.astype(np.float32) / np.float32(255) if rgb.dtype == np.uint8 else np.clip(rgb, 0, 1, dtype=np.float32)
@@ -92,16 +87,6 @@ def ycbcr_of_planes(planes: U8, chroma: Chroma) -> F32:
     halves = flat[height * width :].reshape(2, height // 2, width // 2).astype(np.float32)
     cb, cr = (cv2.resize(half, (width, height), interpolation=cv2.INTER_LINEAR) for half in halves)
     return np.asarray(cv2.merge([y, cb, cr]), dtype=np.float32)
-
-
-def planes_of_rgb(rgb: NDArray[Any], chroma: Chroma) -> U8:
-    """Planes, as :func:`planes_of_ycbcr` lays them out, of an RGB image, float in [0, 1] (clipped) or uint8."""
-    return planes_of_ycbcr(ycbcr_of_rgb(rgb), chroma)
-
-
-def rgb_of_planes(planes: U8, chroma: Chroma) -> F32:
-    """RGB image [H, W, 3] float32 in [0, 1] of planes laid out as :func:`planes_of_ycbcr` lays them out."""
-    return rgb_of_ycbcr(ycbcr_of_planes(planes, chroma))
 
 
 def _rounded(plane: NDArray[Any]) -> U8:

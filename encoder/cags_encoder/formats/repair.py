@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.errors import SceneError
-from cags_common.splats import MAX_COORDINATE, Splats
+from cags_common.splats import Splats, beyond_bounds
 
 Check: TypeAlias = Callable[[Splats, str], Splats]
 """Takes parsed splats and the file's name; returns checked splats or raises :class:`SceneError`."""
@@ -28,15 +28,14 @@ _said: set[tuple[str, int]] = set()
 
 
 def drawable(splats: Splats) -> NDArray[np.bool_]:
-    """Which splats [n] can be drawn: all values finite, positions within the limit, rotation not of length zero.
+    """Which splats [n] can be drawn: all values finite and within their bounds, rotation not of length zero.
 
     An opacity logit may be infinite.
     """
     good: NDArray[np.bool_] = np.linalg.norm(splats.quats.astype(np.float64), axis=1) >= SHORTEST_QUATERNION
     for name, array in splats.arrays():
         bad = np.isnan(array) if name == "logit_opacities" else ~np.isfinite(array)
-        good &= ~bad.reshape(len(array), -1).any(axis=1)
-    good &= (np.abs(splats.means) < np.float32(MAX_COORDINATE)).all(axis=1)
+        good &= ~bad.reshape(len(array), -1).any(axis=1) & ~beyond_bounds(name, array)
     return good
 
 
@@ -58,10 +57,9 @@ class DropBroken:
         if gone and (source, gone) not in _said:
             _said.add((source, gone))
             _log.warning(
-                "%s: left out %d of %d splats: non-finite values, positions beyond %g or no rotation",
+                "%s: left out %d of %d splats: values that are not finite or beyond bounds, or no rotation",
                 source,
                 gone,
                 len(good),
-                MAX_COORDINATE,
             )
         return (splats.take(good) if gone else splats).checked(source)

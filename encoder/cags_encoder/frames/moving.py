@@ -7,7 +7,7 @@ life, all relative to the decoder's copy of the looks, so nothing drifts.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,7 +31,7 @@ from cags_encoder.motion.trails import Trails, Window
 from cags_encoder.settings import EncodeSettings
 from cags_encoder.tiling import CutTile, corners, cut_tiles
 from cags_encoder.tracks.effect import drawn
-from cags_encoder.tracks.lasting import EFFECTS, Coming, Held, segment
+from cags_encoder.tracks.lasting import EFFECTS, RAMPS, Coming, Held, segment
 from cags_encoder.tracks.placing import Placed, Told
 from cags_encoder.tracks.rows import SplatTable
 
@@ -128,8 +128,8 @@ class MovingGroups:
 
     @property
     def outdated_db(self) -> float | None:
-        """Squared visible error of what updates have replaced so far, relative to that of their own lowest level, dB.
-        None before any update.
+        """Squared visible error of what updates have replaced so far, as it would be at the end of their ramps,
+        relative to that of their own lowest level, dB. None before any update.
         """
         if not self._outdated or not self._coarse:
             return None
@@ -259,11 +259,10 @@ class MovingGroups:
         if not len(rows):
             return None
         limits = {column: limit[rows] for column, limit in told.wrong.items()}
-        again = self._segments(
-            ids[rows], true.take(rows), {name: mask[rows] for name, mask in over.items()}, limits, frame.index
-        )
+        weight, over = weight[rows], {name: mask[rows] for name, mask in over.items()}
+        again = self._segments(ids[rows], true.take(rows), weight, over, limits, frame=frame.index)
         # Codes list the largest axis first. If their order changed after the looks were sent, updates are wrong.
-        weight, now, fresh = weight[rows], again.prepared, again.fresh
+        now, fresh = again.prepared, again.fresh
         noise = _effects(fresh, now, now.log_scales, weight)
         asked = np.take_along_axis(again.told.log_scales, axes[rows], axis=1)
         swapped = weight * EFFECTS["log_scales"](np.abs(fresh.log_scales - asked))
@@ -279,24 +278,42 @@ class MovingGroups:
         self,
         ids: Ids,
         true: Splats,
+        weight: F64,
         over: dict[str, NDArray[np.bool_]],
         limits: Mapping[str, F64],
+        *,
         frame: int,
     ) -> _Again:
-        """What to send of ``ids`` [k], which are ``true`` [k], where attributes are ``over`` their ``limits``."""
+        """What to send of ``ids`` [k], which are ``true`` [k] with opacities ``weight`` [k], where attributes are
+        ``over`` their ``limits``.
+
+        A splat of which a ramp would end with another order of axes would have to be sent whole, and be seen at once as
+        it is to be at the ramp's end: it gets no ramp.
+        """
         assert self._held is not None
-        coming, weight = Coming(true, ids, self._trails.later(frame)), drawn(true.logit_opacities)
-        held, axes, told = dict(self._held.take(ids).arrays()), self._axes[ids], dict(true.arrays())
+        coming, axes, told = Coming(true, ids, self._trails.later(frame)), self._axes[ids], dict(true.arrays())
+        held = dict(self._held.take(ids).arrays())
         lengths = {column: np.full(len(ids), AT_ONCE, np.uint8) for column in RAMP_COLUMNS}
-        for name, column in COLUMNS.items():
-            rows = np.flatnonzero(over[name])
-            now, frames = told[column][rows], coming.frames(column, rows)
+
+        def choose(column: str, rows: NDArray[np.intp], ramps: Sequence[int]) -> tuple[F32, NDArray[np.uint8]]:
+            now, frames = getattr(true, column)[rows], coming.frames(column, rows)
             begins = self._ramps[column].ends(ids[rows], held[column][rows])
             if column == "log_scales":  # the decoder's copy lists axes in the order of the looks
                 begins = np.take_along_axis(begins, np.argsort(axes[rows], axis=1), axis=1)
-            before, seen = Held(begins, self._noise[column][ids[rows]]), (EFFECTS[column], weight[rows])
+            before, seen = Held(begins, self._noise[column][ids[rows]]), (EFFECTS[column], drawn_now[rows])
+            return segment(before, now, frames, seen, limits[column][rows], ramps=ramps)
+
+        drawn_now, all_at_once = drawn(true.logit_opacities), np.zeros(len(ids), bool)
+        for name, column in COLUMNS.items():  # scales first
+            rows = np.flatnonzero(over[name] & ~all_at_once)
             told[column] = told[column].copy()
-            told[column][rows], lengths[column][rows] = segment(before, now, frames, seen, limits[column][rows])
+            told[column][rows], lengths[column][rows] = choose(column, rows, RAMPS)
+            if column == "log_scales":
+                asked = np.take_along_axis(told[column], axes, axis=1)
+                turned = weight * EFFECTS[column](np.abs(asked + np.sort(-asked, axis=1))) > limits[column]
+                all_at_once = turned & (lengths[column] > AT_ONCE) & self._codec.quantiser.canonical_axes
+            rows = np.flatnonzero(over[name] & all_at_once)
+            told[column][rows], lengths[column][rows] = choose(column, rows, ())
         splats = Splats(**told)
         prepared = self._codec.prepare(splats)
         coded = self._codec.quantise(prepared)

@@ -21,13 +21,16 @@ SMALL = 25.0
 TYPICAL = 35.0
 """Percentile of the sizes with the same base code that determines their unit."""
 
+LARGEST = 30.0
+"""Log scales beyond it count as this: units have a largest value in the bundle."""
+
 LEAST_TURN = 0.05
 """Smallest ratio of middle to longest axis that makes the unit of rotations finer."""
 
 
 def motion_steps(samples: Splats, base_codes: U32, codes: int) -> MotionSteps:
     """Units for each base code of scale, 0 to ``codes`` - 1, from ``samples`` [n] with ``base_codes`` [n]."""
-    sizes = np.sort(np.exp(np.clip(samples.log_scales.astype(np.float64), -60, 60)), axis=1)
+    sizes = np.sort(np.exp(np.clip(samples.log_scales.astype(np.float64), -60, LARGEST)), axis=1)
     middle, slimness = sizes[:, 1], np.clip(sizes[:, 1] / np.maximum(sizes[:, 2], 1e-300), LEAST_TURN, 1.0)
     least = float(np.percentile(middle, SMALL))
     moves = [max(value, least) * MOVE_STEP for value in _by_code(middle, base_codes, codes, TYPICAL)]

@@ -8,7 +8,8 @@ if the light moved with it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from functools import cached_property
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,19 +48,41 @@ class MotionOptions:
         check_settings(self)
 
 
+@dataclass(frozen=True, eq=False)
+class _Cast:
+    """The capture, and which of its rows move how."""
+
+    rest: Splats
+    parts: dict[str, Rows]
+    """Kind of motion -> rows; without parts that are empty."""
+    axis: F64
+    """[3] about which the "bend" part leans."""
+    cluster: Rows
+    """[n] patch of each row of the "appear" part."""
+    phase: F64
+    """[:data:`CLUSTERS`] time offset of each patch, 0..1."""
+
+
 class MotionScene:
     """The first frame of ``base`` with added motion. Row numbers of the capture are the identities."""
 
     def __init__(self, base: FrameSource, options: MotionOptions) -> None:
-        self._options = options
+        self._base, self._options = base, options
         self._name, self._up, self._focus = f"{base.name}-{options.kind}", base.up, base.focus
-        self._rest = base.frame(0)
+
+    @cached_property
+    def _cast(self) -> _Cast:
+        options, rest = self._options, self._base.frame(0)
         rng = np.random.default_rng(options.seed)
         kinds = KINDS[:-1] if options.kind == "mix" else (options.kind,)
-        parts = _parts(base, self._rest, options.share, kinds, rng)
-        self._parts = {kind: rows for kind, rows in parts.items() if len(rows)}
-        self._axis = _horizontal(np.asarray(self._up), rng.uniform(0, 2 * np.pi))
-        self._cluster, self._phase = _patches(self._rest, self._parts.get("appear", np.zeros(0, np.intp)), rng)
+        parts = _parts(self._base, rest, options.share, kinds, rng)
+        parts = {kind: rows for kind, rows in parts.items() if len(rows)}
+        axis = _horizontal(np.asarray(self._up), rng.uniform(0, 2 * np.pi))
+        return _Cast(rest, parts, axis, *_patches(rest, parts.get("appear", np.zeros(0, np.intp)), rng))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Workers read the capture themselves: it may take hundreds of megabytes."""
+        return {name: value for name, value in self.__dict__.items() if name != "_cast"}
 
     @property
     def name(self) -> str:
@@ -87,14 +110,14 @@ class MotionScene:
     def frame(self, index: int) -> Splats:
         """The capture at frame ``index``: the rows of :meth:`ids`, in order."""
         alive = self.ids(index)
-        moved = {name: array.copy() for name, array in self._rest.arrays()}
+        moved = {name: array.copy() for name, array in self._cast.rest.arrays()}
         swing = 2 * np.pi * index / (self._options.fps * self._options.period_s)
-        if "rigid" in self._parts:
-            self._move_rigidly(moved, self._parts["rigid"], swing)
-        if "bend" in self._parts:
-            self._bend(moved, self._parts["bend"], swing)
-        if "colour" in self._parts:
-            _recolour(moved, self._parts["colour"], self._options.amount, swing)
+        if "rigid" in self._cast.parts:
+            self._move_rigidly(moved, self._cast.parts["rigid"], swing)
+        if "bend" in self._cast.parts:
+            self._bend(moved, self._cast.parts["bend"], swing)
+        if "colour" in self._cast.parts:
+            _recolour(moved, self._cast.parts["colour"], self._options.amount, swing)
         splats = Splats(**moved)
         return (splats if len(alive) == len(splats) else splats.take(alive)).checked(self._name)
 
@@ -102,29 +125,29 @@ class MotionScene:
         """The rows of the capture that exist in frame ``index``, ascending."""
         if not 0 <= index < len(self):
             raise IndexError(index)
-        alive = np.ones(len(self._rest), bool)
-        if "appear" in self._parts:
+        alive = np.ones(len(self._cast.rest), bool)
+        if "appear" in self._cast.parts:
             turn = index / (self._options.fps * self._options.period_s)
-            hidden = (self._phase + turn) % 1.0 < 0.5 * min(self._options.amount, 1.0)
-            alive[self._parts["appear"]] = ~hidden[self._cluster]
+            hidden = (self._cast.phase + turn) % 1.0 < 0.5 * min(self._options.amount, 1.0)
+            alive[self._cast.parts["appear"]] = ~hidden[self._cast.cluster]
             alive[0] |= not alive.any()  # a frame needs at least one splat
         return np.flatnonzero(alive).astype(np.int32)
 
     def _move_rigidly(self, moved: Columns, rows: Rows, swing: float) -> None:
         """Rotate back and forth about the up axis through the part's centre, and move up and down."""
         up = np.asarray(self._up)
-        pivot = self._rest.means[rows].astype(np.float64).mean(axis=0)
+        pivot = self._cast.rest.means[rows].astype(np.float64).mean(axis=0)
         turn = rotations.about(up, np.array(0.6 * self._options.amount * np.sin(swing)))
         lift = 0.2 * self._options.amount * self._focus.radius * 0.5 * (1.0 - np.cos(swing))
         _place(moved, rows, np.broadcast_to(turn, (len(rows), 4)), pivot, lift * up)
 
     def _bend(self, moved: Columns, rows: Rows, swing: float) -> None:
         """Lean about a horizontal axis, more with height, like a stalk in the wind."""
-        means = self._rest.means[rows].astype(np.float64)
+        means = self._cast.rest.means[rows].astype(np.float64)
         height = means @ np.asarray(self._up)
         foot = height.min()
         share = (height - foot) / (float(np.ptp(height)) or 1.0)
-        turns = rotations.about(self._axis, 0.5 * self._options.amount * np.square(share) * np.sin(swing))
+        turns = rotations.about(self._cast.axis, 0.5 * self._options.amount * np.square(share) * np.sin(swing))
         pivot = means.mean(axis=0)
         pivot = pivot + (foot - pivot @ np.asarray(self._up)) * np.asarray(self._up)
         _place(moved, rows, turns, pivot, np.zeros(3))

@@ -27,6 +27,7 @@ from cags_common.tiles.morton import morton_order
 from cags_common.tiles.ramps import AT_ONCE, LONGEST_RAMP, U8
 from cags_encoder.tracks.effect import drawn
 from cags_encoder.tracks.placing import Placed
+from cags_encoder.tracks.rows import bit_keys
 
 Effect = Callable[[NDArray[Any]], NDArray[Any]]
 """Visible effect [n] of differences [n, ...] of one attribute of opaque splats."""
@@ -200,10 +201,12 @@ class Held:
     """[m] visible effect of their quantisation."""
 
 
-def segment(held: Held, now: F32, frames: Sequence[Seen], seen: Weighed, limit: F64) -> tuple[F32, U8]:
-    """The value [m, ...] to send in place of the one ``held``, and in how many frames [m] it is reached, so that the
-    attribute stays within ``limit`` [m] of its values ``now`` and in the ``frames`` after it for longest. The error of
-    the quantised value that a ramp leaves comes on top, and falls to zero with it.
+def segment(
+    held: Held, now: F32, frames: Sequence[Seen], seen: Weighed, limit: F64, *, ramps: Sequence[int] = RAMPS
+) -> tuple[F32, U8]:
+    """The value [m, ...] to send in place of the one ``held``, and in how many frames [m] it is reached, at once or in
+    one of ``ramps``, so that the attribute stays within ``limit`` [m] of its values ``now`` and in the ``frames`` after
+    it for longest. The error of the quantised value that a ramp leaves comes on top, and falls to zero with it.
 
     Slopes of ramps are those of the line through the held value with the least squared error. Longer ramps are tried
     where the next shorter one fits.
@@ -213,7 +216,7 @@ def segment(held: Held, now: F32, frames: Sequence[Seen], seen: Weighed, limit: 
     length = np.full(len(now), AT_ONCE, np.uint8)
     coming = [(now, np.ones(len(now), bool)), *frames]
     fits, start = limit > 0, held.values.astype(np.float64)
-    for frame_count in (count for count in RAMPS if count <= len(coming)):
+    for frame_count in (count for count in ramps if count <= len(coming)):
         rows = np.flatnonzero(fits & coming[frame_count - 1][1])
         if not len(rows):
             break
@@ -272,9 +275,8 @@ def _price(now: F32, frames: Sequence[Seen]) -> float:
     """
     if len(now) < 2:
         return 1.0
-    both = np.concatenate([values.reshape(len(now), -1) for values in (now, frames[-1][0])], axis=1, dtype=np.float64)
-    mixed = both @ np.random.default_rng(0).normal(size=both.shape[1])
-    shares = np.unique(mixed, return_counts=True)[1] / len(now)
+    both = np.concatenate([values.reshape(len(now), -1) for values in (now, frames[-1][0])], axis=1)
+    shares = np.unique(bit_keys(both), return_counts=True)[1] / len(now)
     entropy = -float(np.sum(shares * np.log2(shares)))
     return float(np.cbrt((1 + entropy) / (1 + np.log2(len(now)))))
 

@@ -85,6 +85,9 @@ FIELD_ROUNDS, FIELD_RIDGE, FIELD_HOLDS = 3, 1e-3, 0.5
 where points lie on a plane, and factor by which it has to reduce the distances from the median.
 """
 
+FIELD_PIECE = 16_384
+"""Splats whose fields are fitted at a time: each takes some 4 kB."""
+
 APART, LEAST_APART = 4.0, 0.3
 """Multiple of the usual distance of steps from the median of those around them, and distance in spacings, from which
 on a step is doubtful, even if it is as its own track's velocity says.
@@ -602,6 +605,9 @@ def _field_at(places: F64, points: F64, moved: F64, near: Rows) -> F64:
 
     Points that agree with the others weigh more in the field.
     """
+    if len(near) > FIELD_PIECE:
+        pieces = [slice(first, first + FIELD_PIECE) for first in range(0, len(near), FIELD_PIECE)]
+        return np.concatenate([_field_at(places[piece], points, moved, near[piece]) for piece in pieces])
     apart, values = points[near] - places[:, None], moved[near]
     middle = np.median(values, axis=1)
     unit = np.sqrt(np.square(apart).sum(axis=2).mean(axis=1))[:, None, None]

@@ -41,11 +41,14 @@ def identical_rows(before: Splats, after: Splats) -> tuple[NDArray[np.intp], NDA
 
 def _keys(splats: Splats) -> NDArray[np.uint64]:
     """64-bit hash of each splat's bits, without harmonics."""
-    keys = np.zeros(len(splats), np.uint64)
-    for name, array in splats.arrays():
-        if name == "sh_rest":
-            continue
-        for column in array.reshape(len(splats), -1).view(np.uint32).T:
+    return bit_keys(*(array for name, array in splats.arrays() if name != "sh_rest"))
+
+
+def bit_keys(*arrays: F32) -> NDArray[np.uint64]:
+    """64-bit hash of the bits of row i [n] of all ``arrays`` [n, ...]."""
+    keys = np.zeros(len(arrays[0]), np.uint64)
+    for array in arrays:
+        for column in np.ascontiguousarray(array).reshape(len(keys), -1).view(np.uint32).T:
             keys = (keys ^ column) * np.uint64(0x9E3779B97F4A7C15)
             keys ^= keys >> np.uint64(29)
     return keys

@@ -33,12 +33,6 @@ class BufferPool:
         size = int(np.prod(shape))
         return np.asarray(Lease(self, self._take(size), shape))
 
-    def empty_mask(self, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-        """An uninitialised array of bytes that are to be 0 or 1."""
-        size = int(np.prod(shape))
-        mask: NDArray[np.bool_] = self.empty((-(-size // 4),)).view(np.bool_)[:size]
-        return mask.reshape(shape)
-
     def _take(self, size: int) -> NDArray[np.float32]:
         with self._lock:
             for i, block in enumerate(self._waiting):

@@ -51,7 +51,7 @@ class _Sessions(Collector):
         ):
             yield CounterMetricFamily(f"cags_{name}_total", what, total)
         sent = CounterMetricFamily(
-            "cags_sent_bytes_total", "Payload bytes handed to sessions, by kind.", labels=("kind",)
+            "cags_sent_bytes_total", "Payload bytes of messages sent to their end, by kind.", labels=("kind",)
         )
         for kind in ("tiles", "reference", "other"):
             sent.add_metric((kind,), getattr(sums, f"bytes_{kind}"))

@@ -11,7 +11,9 @@ from cags_server.session.waiting_ends import WaitingEnds
 
 
 class Dispatch:
-    """Counts every message that is queued: in the byte budget, in the totals, and ends of frames by themselves."""
+    """Counts every message: in the byte budget when it is queued, in the totals when it has been sent; and ends of
+    frames by themselves.
+    """
 
     def __init__(self, budget: ByteBudget, arrivals: FrameArrivals, stats: StreamStats) -> None:
         self.budget, self.arrivals = budget, arrivals
@@ -21,14 +23,7 @@ class Dispatch:
     def queue(self, outgoing: list[ev.Outgoing], now_us: int) -> list[ev.Outgoing]:
         """The same messages, counted."""
         for each in outgoing:
-            size = len(each.payload)
             self.budget.planned(each, now_us)
-            if isinstance(each.message, TileLayers):
-                self._stats.bytes_tiles += size
-            elif isinstance(each.message, ReferenceFrame):
-                self._stats.bytes_reference += size
-            else:
-                self._stats.bytes_other += size
             if isinstance(each.message, FrameEnd):
                 self.arrivals.sent(each.message.frame)
         return outgoing
@@ -43,3 +38,13 @@ class Dispatch:
     def queue_again(self, now_us: int) -> list[ev.Outgoing]:
         """Ends of frames that were taken back because they would be late, ahead of all else."""
         return self.queue(self.ends.again(), now_us)
+
+    def sent(self, outgoing: ev.Outgoing) -> None:
+        """A message was sent to its end: what is cancelled or stale before that, and queued again, does not count."""
+        size = len(outgoing.payload)
+        if isinstance(outgoing.message, TileLayers):
+            self._stats.bytes_tiles += size
+        elif isinstance(outgoing.message, ReferenceFrame):
+            self._stats.bytes_reference += size
+        else:
+            self._stats.bytes_other += size

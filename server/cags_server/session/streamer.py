@@ -215,6 +215,7 @@ class Streamer:
 
     def _on_sent(self, outgoing: ev.Outgoing, now_us: int) -> None:
         """A message was written completely."""
+        self._dispatch.sent(outgoing)
         self._left(outgoing)
         if isinstance(outgoing.message, TileLayers | FrameEnd):
             if self._coder.may_compare:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from cags_common.bundle import BundlePlayer, BundleReader
+from cags_common.errors import CagsError
 from cags_common.splats import Splats
 from cags_common.tiles.kinds import TileKind
 from cags_common.tiles.payloads import decode_base
@@ -202,6 +203,41 @@ def test_an_attribute_that_changes_is_sent_by_itself(tmp_path: Path) -> None:
         update = reader.open_tile(9, 0)
         changed = {name: int(mask.sum()) for name, mask in update.changed.items() if mask.any()}
         assert changed.keys() == {"sh0"} and 45 <= changed["sh0"] <= 50  # a faint one's may not be worth it
+
+
+@pytest.mark.parametrize("speed", [0.006, 0.025])
+def test_splats_whose_axes_change_their_order_are_never_shown_as_they_will_be(speed: float, tmp_path: Path) -> None:
+    """Codes list the longest axis first, so such splats are sent whole, without a ramp: what a ramp would have reached
+    many frames later was seen at once, in every other frame.
+    """
+    rng = np.random.default_rng(5)
+    sizes = np.stack([rng.normal(-3.45, 0.15, SPLATS), rng.normal(-3.0, 0.1, SPLATS), np.full(SPLATS, -4.5)], axis=1)
+
+    def growing(first: Splats, k: int) -> Splats:
+        scales = sizes + np.array([speed * k, 0.0, 0.0])
+        sh0 = first.sh0 + np.float32(0.02 * k)
+        opaque = np.full(SPLATS, 3.0)
+        return with_changes(first, log_scales=scales, sh0=sh0, logit_opacities=opaque)
+
+    encode(clip(growing), EncodeSettings(train_splats=4800, lod_order="paper"), str(tmp_path / "out"))
+    with BundleReader.open(str(tmp_path / "out")) as reader:
+        player = BundlePlayer(reader)
+        for frame in range(FRAMES):
+            shown, true = player.frame(frame), reader.source(frame)
+            a, b = covariances(shown.splats), covariances(true.splats)
+            off = np.linalg.norm(a - b, axis=(1, 2)) / np.linalg.norm(b, axis=(1, 2))
+            assert off.mean() < 0.03, f"frame {frame}"
+            assert np.abs(shown.splats.sh0 - true.splats.sh0).mean() < 0.08, f"frame {frame}"
+
+
+def test_a_scene_that_no_bundle_can_hold_leaves_the_bundle_before_in_its_place(tmp_path: Path) -> None:
+    out, first = str(tmp_path / "out"), cloud(SPLATS, 7)
+    encode([first], FAST, out)
+    with pytest.raises(CagsError, match=r"focus has a radius of .* larger units"):
+        encode([with_changes(first, means=first.means * np.float32(1e14))], FAST, out)
+    encode([with_changes(first, log_scales=first.log_scales + 40)], FAST, str(tmp_path / "large"))
+    with BundleReader.open(out) as reader:
+        assert len(BundlePlayer(reader).frame(0).ids) == SPLATS
 
 
 def test_how_wrong_old_attributes_are_is_measured_against_the_lowest_level_of_new_ones(tmp_path: Path) -> None:

@@ -93,3 +93,11 @@ def test_values_are_written_to_their_place(coefficients):
 def test_a_place_of_another_sh_degree_is_refused():
     with pytest.raises(DecodeError, match="SH degree 1, their place 0"):
         some_splats(2, 3).written_to(Splats.unwritten(2, 0))
+
+
+@pytest.mark.parametrize(("column", "value"), [("means", 1e30), ("sh0", 1e16), ("sh_rest", -1e21)])
+def test_values_whose_squares_overflow_are_refused(column, value):
+    arrays = {name: array.copy() for name, array in some_splats().arrays()}
+    arrays[column].reshape(5, -1)[2, 0] = value
+    with pytest.raises(SceneError, match=rf"{column}\[2\] = .* lies beyond 1e.*repair=drop"):
+        Splats(**arrays).checked("far.ply")

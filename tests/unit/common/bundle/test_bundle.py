@@ -1,5 +1,6 @@
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,14 @@ def write(url: str) -> Manifest:
 @pytest.fixture(params=["folder", "memory"])
 def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     return str(tmp_path / "out") if request.param == "folder" else f"memory://{tmp_path.name}/out"
+
+
+def test_a_manifest_that_no_reader_takes_is_not_written_over_a_good_one(url: str) -> None:
+    good = write(url)
+    with pytest.raises(BundleError, match="fps"), BundleWriter(url) as writer:
+        writer.commit(replace(good, fps=1e9, gofs=()))
+    with BundleReader.open(url) as reader:
+        assert reader.manifest == good
 
 
 def test_what_was_written_is_read(url: str) -> None:

@@ -59,6 +59,18 @@ def test_ids_come_back(ids: list[int]) -> None:
     assert decode_ids(encode_ids(given)).dtype == np.int32
 
 
+def test_another_number_of_ids_than_expected_is_refused_before_anything_is_inflated(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    many = encode_ids(np.arange(10_000, dtype=np.int32))
+    assert len(decode_ids(many, expected=10_000)) == 10_000
+    monkeypatch.setattr("cags_common.coding.packing.gunzip_bounded", None)
+    with pytest.raises(DecodeError, match="tile ids: claims 10000 ids for 5 splats"):
+        decode_ids(many, what="tile ids", expected=5)
+    with pytest.raises(DecodeError, match="claims 0 ids for 5 splats"):
+        decode_ids(b"", expected=5)
+
+
 def test_ids_beyond_the_limit_are_refused() -> None:
     with pytest.raises(DecodeError, match="not below 100"):
         decode_ids(encode_ids(np.array([1, 100], np.int32)), limit=100)

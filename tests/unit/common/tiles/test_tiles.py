@@ -187,7 +187,7 @@ def test_as_many_ids_as_splats() -> None:
     (ten, *_), (nine, *_) = payload(10, full_codes(10)), payload(9, full_codes(9))
     ids, other = (data[HEADER.size : HEADER.size + HEADER.unpack_from(data)[FIRST_ID]] for data in (ten, nine))
     swapped = changed(ten, FIRST_ID, len(other))[: HEADER.size] + other + ten[HEADER.size + len(ids) :]
-    with pytest.raises(DecodeError, match="has 9 ids for 10 splats"):
+    with pytest.raises(DecodeError, match="claims 9 ids for 10 splats"):
         decode_base(swapped, BOOKS)
 
 

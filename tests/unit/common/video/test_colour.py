@@ -1,7 +1,17 @@
+from typing import Any
+
 import numpy as np
 import pytest
 
-from cags_common.video.colour import Chroma, planes_of_rgb, rgb_of_planes
+from cags_common.video.colour import Chroma, planes_of_ycbcr, rgb_of_ycbcr, ycbcr_of_planes, ycbcr_of_rgb
+
+
+def planes_of_rgb(rgb: np.ndarray[Any, Any], chroma: Chroma) -> np.ndarray[Any, Any]:
+    return planes_of_ycbcr(ycbcr_of_rgb(rgb), chroma)
+
+
+def rgb_of_planes(planes: np.ndarray[Any, Any], chroma: Chroma) -> np.ndarray[Any, Any]:
+    return rgb_of_ycbcr(ycbcr_of_planes(planes, chroma))
 
 
 def smooth_image(height: int = 30, width: int = 40) -> np.ndarray:

@@ -14,16 +14,16 @@ from cags_encoder.formats.repair import DropBroken, drawable
 from cags_encoder.scenes import open_scene
 from support.codec_scenes import cloud, with_changes
 
-BROKEN = (3, 7, 11, 20)
+BROKEN = (3, 7, 11, 20, 25)
 
 
 def broken(splats: Splats) -> Splats:
-    """NaN, infinities and a zero-length rotation in four rows; a legal infinite logit in another."""
-    means, scales, quats, logits = (
-        getattr(splats, name).copy() for name in ("means", "log_scales", "quats", "logit_opacities")
+    """NaN, infinities, a zero-length rotation and a huge colour in five rows; a legal infinite logit in another."""
+    means, scales, quats, logits, sh0 = (
+        getattr(splats, name).copy() for name in ("means", "log_scales", "quats", "logit_opacities", "sh0")
     )
-    means[3, 1], scales[7, 0], quats[11], logits[20], logits[21] = np.nan, np.inf, 0, np.nan, np.inf
-    return with_changes(splats, means=means, log_scales=scales, quats=quats, logit_opacities=logits)
+    means[3, 1], scales[7, 0], quats[11], logits[20], logits[21], sh0[25] = np.nan, np.inf, 0, np.nan, np.inf, 1e30
+    return with_changes(splats, means=means, log_scales=scales, quats=quats, logit_opacities=logits, sh0=sh0)
 
 
 def test_what_can_be_drawn() -> None:
@@ -39,7 +39,7 @@ def test_a_file_is_refused_or_its_broken_splats_left_out_and_counted(
         open_scene(str(path))
     with caplog.at_level(logging.WARNING):
         scene = open_scene(f"{path}:repair=drop")
-    assert "a.ply: left out 4 of 30 splats" in caplog.text
+    assert "a.ply: left out 5 of 30 splats" in caplog.text
     ids = scene.ids(0)
     assert ids is not None and ids.tolist() == [row for row in range(30) if row not in BROKEN]
     assert np.array_equal(scene.frame(0).means, cloud(30).means[ids])
@@ -50,7 +50,7 @@ def test_rows_keep_their_identity_when_others_are_left_out(tmp_path: Path) -> No
     for k, splats in enumerate((whole, broken(whole), whole)):
         (tmp_path / f"{k}.ply").write_bytes(ply_bytes(splats))
     manifest = encode(open_scene(f"{tmp_path}:repair=drop,rows=keep"), EncodeSettings(train_splats=500), "memory://r")
-    assert manifest.gof_starts == (0,) and manifest.capacity[0] <= 204
+    assert manifest.gof_starts == (0,) and manifest.capacity[0] <= 200 + len(BROKEN)
 
 
 def test_an_archive_over_time(tmp_path: Path) -> None:

@@ -117,6 +117,25 @@ def test_dropped_and_evicted_layers_are_sent_again() -> None:
     assert (0, 1, 1) in {(m.frame, m.tile, m.from_lod) for m in of(TileLayers, rig.step())}
 
 
+def test_what_is_cancelled_before_it_was_sent_does_not_count_as_sent() -> None:
+    """Counted when it was queued, it counted again whenever it was queued again."""
+    rig = Rig()
+    rig.play()
+    stats = rig.streamer.stats
+
+    def sent() -> int:
+        return stats.bytes_tiles + stats.bytes_reference + stats.bytes_other
+
+    before = sent()
+    assert before == sum(len(each.payload) for each in rig.greeting + rig.opening)
+    waiting = rig.step(deliver=False)
+    assert sent() == before
+    rig.drop(waiting, "cancelled")
+    assert sent() == before
+    out = rig.step()
+    assert sent() == before + sum(len(each.payload) for each in out)
+
+
 def test_a_tile_that_waited_past_its_display_is_chosen_anew() -> None:
     rig = Rig()
     rig.play()
