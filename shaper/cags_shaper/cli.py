@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 from cags_common.cli import command_parser, run_command
 from cags_common.errors import ConfigError
-from cags_common.settings import add_settings, load_settings
+from cags_common.settings import add_settings, given_flags, load_settings
 from cags_shaper.settings import ShaperSettings
 
 if TYPE_CHECKING:
-    from cags_shaper.trace import Trace
+    import argparse
 
 EXAMPLES = """\
   cags-shaper --listen 127.0.0.1:9000 --to 127.0.0.1:8765 --trace traces/5g-mmwave.csv
@@ -47,6 +47,8 @@ def _run(argv: Sequence[str]) -> int:
     settings = load_settings(ShaperSettings, arguments)
     if bool(arguments.command) != settings.tun:
         raise ConfigError("--tun and a COMMAND go together: cags-shaper --tun --trace FILE -- COMMAND")
+    if settings.tun:
+        _check_packets(arguments)
     if arguments.command and shutil.which(arguments.command[0]) is None:
         raise ConfigError(f"COMMAND {arguments.command[0]!r} is no program here; give one that the shell would find")
     from cags_shaper.trace import open_trace
@@ -58,25 +60,23 @@ def _run(argv: Sequence[str]) -> int:
     import asyncio
     import logging
 
-    if settings.tun:
-        return _run_packets(settings, traces, arguments.command)
-    from cags_shaper.service import Service
+    from cags_shaper.service import Service, run_packets
 
     logging.basicConfig(format="cags-shaper: %(message)s", stream=sys.stderr)
+    if settings.tun:
+        return asyncio.run(run_packets(settings, traces, arguments.command))
     asyncio.run(Service(settings, traces, arguments.json).run())
     return 0
 
 
-def _run_packets(settings: ShaperSettings, traces: list[Trace | None], command: list[str]) -> int:
-    import asyncio
-    import os
-
-    from cags_shaper.link import Link
-    from cags_shaper.tun import TunNames, run_behind
-
-    down: Link[bytes] = Link(traces[0], settings.link())
-    up: Link[bytes] = Link(traces[1], settings.link())
-    return asyncio.run(run_behind(command, TunNames(os.getpid()), down, up))
+def _check_packets(arguments: argparse.Namespace) -> None:
+    """Refuse what is of the proxy only. Raises :class:`ConfigError`."""
+    flags = [name for name in given_flags(arguments, ShaperSettings) if name in ("listen", "to")]
+    if flags := [*flags, *(["json"] if arguments.json else [])]:
+        raise ConfigError(
+            f"--{flags[0]} is of the proxy: with --tun COMMAND connects by itself, to $CAGS_SHAPER_HOST; "
+            f"leave out --{' and --'.join(flags)}"
+        )
 
 
 def _plot(log: str) -> int:

@@ -20,7 +20,8 @@ from typing import Any
 
 from cags_common.errors import CagsError, ConfigError
 from cags_common.runtime.tasks import watched
-from cags_shaper.proxy import ShaperProxy, bound_socket
+from cags_shaper.proxy import bound_socket
+from cags_shaper.shaped import Shaped
 
 log = logging.getLogger("cags_shaper")
 
@@ -30,10 +31,10 @@ RATE_STEP_S = 0.1
 
 
 class ControlPort:
-    """Answers control lines for one proxy."""
+    """Answers control lines for one link of two directions."""
 
-    def __init__(self, proxy: ShaperProxy) -> None:
-        self._proxy = proxy
+    def __init__(self, shaped: Shaped) -> None:
+        self._shaped = shaped
         self._samples: deque[tuple[int, int]] = deque([(0, 0)])  # (time, bytes delivered until then)
         self._tasks: set[asyncio.Task[None]] = set()
 
@@ -68,21 +69,19 @@ class ControlPort:
             settings["cap_bps"] = None if cap is None else cap * 1e6
         if "delay_ms" in wanted:
             settings["delay_us"] = round(wanted["delay_ms"] * 1e3)
-        for direction in (self._proxy.downlink, self._proxy.uplink):
+        for direction in (self._shaped.downlink, self._shaped.uplink):
             direction.link.change(**settings)
 
     def _state(self) -> dict[str, Any]:
-        direction = self._proxy.downlink
+        direction = self._shaped.downlink
         link, now_us = direction.link, direction.now_us()
-        limits = [link.settings.cap_bps] if link.settings.cap_bps is not None else []
-        if link.trace is not None:
-            limits.append(link.trace.mean_bps(now_us, now_us + RATE_WINDOW_US))
+        allowed_bps = link.capacity_bps(now_us, now_us + RATE_WINDOW_US)
         start_us, start_bytes = self._samples[0]
         elapsed_us = max(now_us - start_us, 1)
         return {
             "cap_mbps": None if link.settings.cap_bps is None else link.settings.cap_bps / 1e6,
             "delay_ms": link.settings.delay_us / 1e3,
-            "capacity_mbps": min(limits) / 1e6 if limits else None,
+            "capacity_mbps": None if allowed_bps is None else allowed_bps / 1e6,
             "delivered_mbps": (link.counts.delivered_bytes - start_bytes) * 8 / elapsed_us,
             "queue_bytes": link.queued_bytes(now_us),
         }
@@ -90,10 +89,10 @@ class ControlPort:
     async def _sample(self) -> None:
         while True:
             await asyncio.sleep(RATE_STEP_S)
-            if not self._proxy.downlink.clock.begun:
+            if not self._shaped.downlink.clock.begun:
                 continue
-            now_us = self._proxy.downlink.now_us()
-            self._samples.append((now_us, self._proxy.downlink.link.counts.delivered_bytes))
+            now_us = self._shaped.downlink.now_us()
+            self._samples.append((now_us, self._shaped.downlink.link.counts.delivered_bytes))
             while self._samples[0][0] < now_us - RATE_WINDOW_US:
                 self._samples.popleft()
 

@@ -118,6 +118,15 @@ class Link(Generic[T]):
         self.settings = replace(self.settings, **settings)
         self.effects = self.settings.effects(rated=self.trace is not None)
 
+    def capacity_bps(self, start_us: int, end_us: int) -> float | None:
+        """What trace and cap allow in (start_us, end_us], bits a second; None: neither limits it. A cap counts as it is
+        set now. Raises :class:`ValueError` for an empty interval of a trace.
+        """
+        limits = [] if self.trace is None else [self.trace.mean_bps(start_us, end_us)]
+        if self.settings.cap_bps is not None:
+            limits.append(self.settings.cap_bps)
+        return min(limits, default=None)
+
     def push(self, now_us: int, data: T, size_bytes: int | None = None) -> bool:
         """Offer a packet, or a piece of a stream, of ``size_bytes`` (default: ``len(data)``).
 

@@ -15,7 +15,7 @@ from cags_common.errors import ConfigError
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-    from cags_shaper.proxy import ShapedDirection, ShaperProxy
+    from cags_shaper.shaped import Shaped, ShapedLink
 
 LOG = logging.getLogger("cags_shaper")
 
@@ -24,7 +24,7 @@ INTERVAL_US = 100_000
 FIELDS = {
     "t_us": "end of the interval since the link began, microseconds",
     "direction": "down (towards the client) or up",
-    "capacity_bytes": "what the trace allowed in the interval (null: no limit)",
+    "capacity_bytes": "what trace and cap allowed in the interval (null: no limit)",
     "accepted_bytes": "bytes that entered the link in the interval, TCP/IP headers included",
     "delivered_bytes": "bytes that left it in the interval",
     "queued_bytes": "bytes in its queue at the end of the interval",
@@ -41,17 +41,17 @@ class LogWriter:
         header = {"log": "cags-shaper", "version": 1, "interval_us": INTERVAL_US, "fields": FIELDS}
         self._line({**header, "settings": dataclasses.asdict(settings)})
 
-    def sample(self, name: str, direction: ShapedDirection) -> None:
+    def sample(self, name: str, direction: ShapedLink) -> None:
         """Write what passed ``direction`` since the last sample."""
         link, now_us = direction.link, direction.now_us()
         before_us, accepted, delivered = self._last.get(name, (0, 0, 0))
         counts, coming_us = link.counts, link.next_delivery_us()
-        capacity = link.trace and round(link.trace.mean_bps(before_us, now_us) * (now_us - before_us) / 8e6)
+        allowed_bps = link.capacity_bps(before_us, now_us)
         self._line(
             {
                 "t_us": now_us,
                 "direction": name,
-                "capacity_bytes": capacity,
+                "capacity_bytes": None if allowed_bps is None else round(allowed_bps * (now_us - before_us) / 8e6),
                 "accepted_bytes": counts.accepted_bytes - accepted,
                 "delivered_bytes": counts.delivered_bytes - delivered,
                 "queued_bytes": link.queued_bytes(now_us),
@@ -60,16 +60,16 @@ class LogWriter:
         )
         self._last[name] = now_us, counts.accepted_bytes, counts.delivered_bytes
 
-    async def follow(self, proxy: ShaperProxy, stop: asyncio.Event) -> None:
+    async def follow(self, shaped: Shaped, stop: asyncio.Event) -> None:
         """Sample both directions every :data:`INTERVAL_US` until ``stop``, once the link has begun."""
         while not stop.is_set():
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(INTERVAL_US / 1e6):
                     await stop.wait()
-            if not proxy.downlink.clock.begun:
+            if not shaped.downlink.clock.begun:
                 continue
-            self.sample("down", proxy.downlink)
-            self.sample("up", proxy.uplink)
+            self.sample("down", shaped.downlink)
+            self.sample("up", shaped.uplink)
 
     def _line(self, record: dict[str, object]) -> None:
         if self._ended:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +28,10 @@ def plot_log(path: Path) -> Path:
     for direction, colour in zip(DIRECTIONS, ("tab:blue", "tab:orange"), strict=True):
         here = [row for row in rows if row["direction"] == direction]
         seconds = [row["t_us"] / 1e6 for row in here]
-        spans_us = [b["t_us"] - a["t_us"] for a, b in zip([{"t_us": 0}, *here[:-1]], here, strict=True)]
-        if direction == "down" and here and here[0]["capacity_bytes"] is not None:
-            allowed = [row["capacity_bytes"] * 8 / max(us, 1) for row, us in zip(here, spans_us, strict=True)]
+        spans_us = [b["t_us"] - a["t_us"] for a, b in zip([{"t_us": 0}, *here], here, strict=False)]
+        capacities = [math.nan if row["capacity_bytes"] is None else row["capacity_bytes"] for row in here]
+        if direction == "down" and not all(map(math.isnan, capacities)):  # a live cap may come and go
+            allowed = [size * 8 / max(us, 1) for size, us in zip(capacities, spans_us, strict=True)]
             rate.fill_between(seconds, allowed, step="pre", color="0.85", label="capacity, down")
         delivered = [row["delivered_bytes"] * 8 / max(us, 1) for row, us in zip(here, spans_us, strict=True)]
         rate.step(seconds, delivered, color=colour, label=f"delivered, {direction}")

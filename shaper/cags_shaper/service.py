@@ -1,12 +1,16 @@
-"""The running shaper: proxy, control port and log, from a ready line to a signal."""
+"""The running shaper: what carries (the proxy, or packets of a command) with its control port and log."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import json
+import logging
+import os
 import signal
+import sys
 import time
+from collections.abc import AsyncIterator, Sequence
 from typing import TYPE_CHECKING
 
 from cags_common.errors import NetworkError
@@ -19,7 +23,11 @@ from cags_shaper.proxy import Piece, ShaperProxy
 
 if TYPE_CHECKING:
     from cags_shaper.settings import ShaperSettings
+    from cags_shaper.shaped import Shaped
     from cags_shaper.trace import Trace
+    from cags_shaper.tun import PacketPair
+
+LOG = logging.getLogger("cags_shaper")
 
 
 class Service:
@@ -37,16 +45,11 @@ class Service:
         """Shape until SIGTERM or SIGINT. Raises :class:`CagsError` before the ready line, not after."""
         stop = asyncio.Event()
         async with contextlib.AsyncExitStack() as stack:
-            log = open_log(self._settings.log) if self._settings.log else None
-            if log is not None:
-                stack.callback(close_log, log)
             ready = await self._start(stack)
             for number in (signal.SIGTERM, signal.SIGINT):
                 asyncio.get_running_loop().add_signal_handler(number, stop.set)
             print(self._ready_line(ready), flush=True)
             watching = watched(self._end_with_proxy(stop), lambda error: None)  # raised below
-            if log is not None:
-                await LogWriter(log, self._settings).follow(self._proxy, stop)
             await stop.wait()
             if watching.done():
                 await watching
@@ -61,21 +64,69 @@ class Service:
             stop.set()
 
     async def _start(self, stack: contextlib.AsyncExitStack) -> dict[str, str | int]:
-        address, control_address = self._settings.address("listen"), self._settings.address("control")
+        address = self._settings.address("listen")
         assert address is not None
         host, port = await self._proxy.start(*address, lambda: time.monotonic_ns() // 1000)
         stack.push_async_callback(self._proxy.close)
         if self._settings.start == "process":
             self._proxy.begin()
         ready: dict[str, str | int] = {"host": host, "port": port}
-        if control_address is not None:
-            control = ControlPort(self._proxy)
-            _, ready["control"] = await control.start(*control_address)
-            stack.push_async_callback(control.close)
-        return ready
+        control = await stack.enter_async_context(_instruments(self._settings, self._proxy))
+        return ready if control is None else {**ready, "control": control}
 
     def _ready_line(self, ready: dict[str, str | int]) -> str:
         if self._as_json:
             return json.dumps({"ready": True, **ready})
         control = f", control on port {ready['control']}" if "control" in ready else ""
         return f"listening on {host_port(str(ready['host']), int(ready['port']))}{control}"
+
+
+async def run_packets(settings: ShaperSettings, traces: list[Trace | None], command: Sequence[str]) -> int:
+    """Run ``command`` behind packets' links; its exit status. Raises :class:`ConfigError` and :class:`NetworkError`.
+
+    Standard output is the command's, so the control port is told on standard error.
+    """
+    from cags_shaper.tun import TunNames, run_behind  # only where there are TUN devices
+
+    down: Link[bytes] = Link(traces[0], settings.link())
+    up: Link[bytes] = Link(traces[1], settings.link())
+
+    @contextlib.asynccontextmanager
+    async def beside(pair: PacketPair) -> AsyncIterator[None]:
+        async with _instruments(settings, pair) as control:
+            if control is not None:
+                print(f"cags-shaper: control on port {control}", file=sys.stderr, flush=True)
+            yield
+
+    return await run_behind(command, TunNames(os.getpid()), down, up, beside)
+
+
+@contextlib.asynccontextmanager
+async def _instruments(settings: ShaperSettings, shaped: Shaped) -> AsyncIterator[int | None]:
+    """Log and control port of ``shaped``, as far as the settings want them; yields the control port in use.
+
+    Raises :class:`ConfigError` and :class:`NetworkError`.
+    """
+    async with contextlib.AsyncExitStack() as stack:
+        if settings.log:
+            log = open_log(settings.log)
+            stack.callback(close_log, log)
+            await stack.enter_async_context(_logged(LogWriter(log, settings), shaped))
+        port: int | None = None
+        if (address := settings.address("control")) is not None:
+            control = ControlPort(shaped)
+            _, port = await control.start(*address)
+            stack.push_async_callback(control.close)
+        yield port
+
+
+@contextlib.asynccontextmanager
+async def _logged(writer: LogWriter, shaped: Shaped) -> AsyncIterator[None]:
+    """Write samples, and a last one at the end."""
+    over = asyncio.Event()
+    following = watched(writer.follow(shaped, over), lambda error: LOG.error("the log has ended: %s", error))
+    try:
+        yield
+    finally:
+        over.set()
+        await asyncio.gather(following, return_exceptions=True)

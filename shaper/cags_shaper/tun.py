@@ -18,12 +18,14 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
 from cags_common.errors import ConfigError, NetworkError
 from cags_shaper.link import Link
+from cags_shaper.link_clock import LinkClock
 
 TUN = Path("/dev/net/tun")
 TUNSETIFF = 0x400454CA
@@ -102,17 +104,16 @@ def tun_pair(names: TunNames) -> Iterator[tuple[int, int]]:
 class PacketDirection:
     """Carries packets from one device to the other through a link, in the running event loop."""
 
-    def __init__(self, link: Link[bytes], source: int, target: int) -> None:
-        self.link = link
+    def __init__(self, link: Link[bytes], clock: LinkClock, source: int, target: int) -> None:
+        self.link, self.clock = link, clock
         self._source, self._target = source, target
-        self._start_ns = time.monotonic_ns()
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
         self._loop.add_reader(source, self._read)
 
     def now_us(self) -> int:
         """Time since the link started."""
-        return (time.monotonic_ns() - self._start_ns) // 1000
+        return self.clock.now_us()
 
     def close(self) -> None:
         """Carry no more."""
@@ -138,16 +139,39 @@ class PacketDirection:
         self._timer = None if next_us is None else self._loop.call_later(delay_s, self._deliver)
 
 
-async def run_behind(command: Sequence[str], names: TunNames, downlink: Link[bytes], uplink: Link[bytes]) -> int:
+@dataclass(frozen=True)
+class PacketPair:
+    """Both directions of a link that carries packets; they share a clock."""
+
+    downlink: PacketDirection
+    uplink: PacketDirection
+
+    def close(self) -> None:
+        """Carry no more."""
+        self.downlink.close()
+        self.uplink.close()
+
+
+async def run_behind(
+    command: Sequence[str],
+    names: TunNames,
+    downlink: Link[bytes],
+    uplink: Link[bytes],
+    beside: Callable[[PacketPair], AbstractAsyncContextManager[object]] = contextlib.nullcontext,
+) -> int:
     """Run ``command`` behind the links and return its exit status. Raises :class:`ConfigError` and `NetworkError`.
 
     Inside, this machine is ``names.addresses[0]``, which the command finds in the variable ``CAGS_SHAPER_HOST``.
-    SIGTERM and SIGINT are passed on.
+    SIGTERM and SIGINT are passed on. What ``beside`` makes of both directions is entered before the command starts and
+    left after it has ended.
     """
     environment = {**os.environ, HOST_VARIABLE: names.addresses[0]}
-    with tun_pair(names) as (outer, inner):
-        directions = PacketDirection(downlink, outer, inner), PacketDirection(uplink, inner, outer)
-        try:
+    with tun_pair(names) as (outer, inner), contextlib.ExitStack() as stack:
+        clock = LinkClock(lambda: time.monotonic_ns() // 1000)
+        pair = PacketPair(PacketDirection(downlink, clock, outer, inner), PacketDirection(uplink, clock, inner, outer))
+        stack.callback(pair.close)
+        async with beside(pair):
+            clock.begin()
             process = await asyncio.create_subprocess_exec(
                 "ip", "netns", "exec", names.namespace, *command, env=environment
             )
@@ -155,9 +179,6 @@ async def run_behind(command: Sequence[str], names: TunNames, downlink: Link[byt
             for number in (signal.SIGTERM, signal.SIGINT):
                 loop.add_signal_handler(number, _pass_on, process, number)
             return await process.wait()
-        finally:
-            for direction in directions:
-                direction.close()
 
 
 def _pass_on(process: asyncio.subprocess.Process, number: int) -> None:

@@ -42,7 +42,7 @@ async def test_asking_changes_nothing(control):
 async def test_cap_and_delay_hold_for_both_directions(control):
     (state,) = await ask(control, b'{"cap_mbps": 5, "delay_ms": 40.0}')
     assert (state["cap_mbps"], state["delay_ms"], state["capacity_mbps"]) == (5, 40, 5)
-    assert control._proxy.uplink.link.settings.cap_bps == 5e6
+    assert control._shaped.uplink.link.settings.cap_bps == 5e6
     (state,) = await ask(control, b'{"cap_mbps": null}')
     assert (state["cap_mbps"], state["delay_ms"]) == (None, 40)
 

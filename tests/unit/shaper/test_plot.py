@@ -5,7 +5,7 @@ import pytest
 
 from cags_common.errors import TraceError
 from cags_shaper.cli import main
-from cags_shaper.link import Link
+from cags_shaper.link import Link, LinkSettings
 from cags_shaper.log import LogWriter
 from cags_shaper.settings import ShaperSettings
 from cags_shaper.trace import open_trace
@@ -21,10 +21,10 @@ class Direction:
         return self.time_us
 
 
-def written_log(trace):
+def written_log(trace, settings=None):
     file = io.StringIO()
     writer = LogWriter(file, ShaperSettings())
-    down, up = Direction(Link(trace)), Direction(Link(None))
+    down, up = Direction(Link(trace, settings)), Direction(Link(None, settings))
     for step in range(1, 20):
         for direction in (down, up):
             direction.time_us = step * 100_000
@@ -44,12 +44,34 @@ def test_a_log_is_drawn_beside_itself(tmp_path, capsys, trace):
     assert (tmp_path / "s.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.parametrize(
+    ("trace", "cap_mbps", "allowed_mbps"),
+    [(None, None, None), (None, 4, 4), ("generated:steady-10", 4, 4), ("generated:steady-10", 40, 10)],
+)
+def test_the_capacity_of_a_log_is_what_trace_and_cap_allow(trace, cap_mbps, allowed_mbps):
+    settings = LinkSettings(cap_bps=cap_mbps and cap_mbps * 1e6)
+    _, *rows = map(json.loads, written_log(open_trace(trace) if trace else None, settings).splitlines())
+    down = [row["capacity_bytes"] for row in rows if row["direction"] == "down"]
+    if allowed_mbps is None:
+        assert set(down) == {None}
+    else:
+        assert sum(down) == pytest.approx(allowed_mbps * 1e6 / 8 * 1.9, rel=0.01)
+
+
 @pytest.mark.parametrize("text", ["", "{}\n", "[]\n", "hello\n", '{"log": "other", "interval_us": 100000}\n'])
 def test_what_is_no_log_is_refused(tmp_path, capsys, text):
     log = tmp_path / "s.jsonl"
     log.write_text(text)
     assert main(["--plot", str(log)]) == 1
     assert "s.jsonl: is no log" in capsys.readouterr().err
+
+
+def test_a_cap_that_was_lifted_is_drawn_as_long_as_it_held(tmp_path):
+    log = tmp_path / "s.jsonl"
+    header = written_log(None).splitlines()[0]
+    rows = [SAMPLE | {"t_us": n, "capacity_bytes": allowed} for n, allowed in ((1, None), (2, 10), (3, None))]
+    log.write_text("\n".join([header, *map(json.dumps, rows), ""]))
+    assert main(["--plot", str(log)]) == 0
 
 
 SAMPLE = {"t_us": 1, "direction": "down", "capacity_bytes": None, "delivered_bytes": 0, "queued_bytes": 0}

@@ -1,6 +1,8 @@
 """Packets through TUN devices: needs root, Linux and network namespaces, and says so where they are missing."""
 
+import json
 import os
+import socket
 import subprocess
 import sys
 
@@ -8,6 +10,7 @@ import pytest
 
 from cags_shaper import tun
 from cags_shaper.cli import main
+from cags_shaper.plot import read_log
 
 REASON = tun.why_unavailable()
 needs_tun = pytest.mark.skipif(REASON is not None, reason=f"packets cannot be shaped here: {REASON}")
@@ -54,6 +57,38 @@ def test_nothing_is_left_behind_and_the_exit_status_is_the_commands(capfd):
     assert capfd.readouterr().err == ""
 
 
+ASKED = """
+import json, os, socket, time
+s = socket.create_connection((os.environ["CAGS_SHAPER_HOST"], int(os.environ["CONTROL"])))
+s.sendall(b'{"cap_mbps": 7}\\n')
+print(s.makefile().readline())
+time.sleep(0.3)
+"""
+
+
+@needs_tun
+def test_packets_have_a_log_and_a_control_port_too(tmp_path, capfd, monkeypatch):
+    with socket.create_server(("0.0.0.0", 0)) as free:
+        port = free.getsockname()[1]
+    monkeypatch.setenv("CONTROL", str(port))
+    log = tmp_path / "s.jsonl"
+    flags = ["--trace", "generated:steady-30", "--log", str(log), "--control", f"0.0.0.0:{port}"]
+    assert main(["--tun", *flags, "--", sys.executable, "-c", ASKED]) == 0
+    out, err = capfd.readouterr()
+    assert json.loads(out)["capacity_mbps"] == 7
+    assert err == f"cags-shaper: control on port {port}\n"
+    down = [row for row in read_log(log) if row["direction"] == "down"]
+    assert sum(row["delivered_bytes"] for row in down) > 100
+    assert down[-1]["capacity_bytes"] * 8 / (down[-1]["t_us"] - down[-2]["t_us"]) == pytest.approx(7, rel=0.01)
+
+
+@needs_tun
+def test_a_log_that_cannot_be_written_is_said_before_the_command_runs(tmp_path, capfd):
+    assert main(["--tun", "--log", "/nowhere/at/all", "--", "touch", str(tmp_path / "ran")]) == 2
+    assert "--log /nowhere/at/all: cannot be written" in capfd.readouterr().err
+    assert not (tmp_path / "ran").exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
@@ -62,6 +97,9 @@ def test_nothing_is_left_behind_and_the_exit_status_is_the_commands(capfd):
         (["--tun", "--", "no-such-program"], "COMMAND 'no-such-program' is no program here"),
         (["--loss", "0.1"], "--loss and --queue-packets act on packets"),
         (["--tun", "--loss", "1.5", "--", "true"], "loss = 1.5 must lie in"),
+        (["--tun", "--listen", "127.0.0.1:0", "--", "true"], "--listen is of the proxy"),
+        (["--tun", "--to", "127.0.0.1:8765", "--json", "--", "true"], "leave out --to and --json"),
+        (["--tun", "--json", "--", "true"], "--json is of the proxy"),
     ],
 )
 def test_wrong_use_is_one_line(capsys, arguments, says):
