@@ -295,6 +295,24 @@ def test_a_token_is_asked_for_and_a_wrong_one_is_said_to_be(tmp_path: Path) -> N
         assert complaints(running) == []
 
 
+def test_a_page_too_many_says_so_and_joins_once_there_is_room(
+    page: Any, show: BallShow, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cags_client.output.page.server.MAX_PAGES", 1)
+    with chromium(tmp_path / "second") as other:
+        other.get(show.view.url)
+        wait(other, lambda: "takes no more pages" in words(other) and "close one" in words(other))
+        assert light(other) == "client: no room"
+        links = len(show.view._links)
+        time.sleep(1.5)
+        assert len(show.view._links) == links == 1, "it does not ask again by itself"
+        page.get("about:blank")
+        wait(other, lambda: show.view.pages == 0)
+        click(other, "#again")
+        wait(other, lambda: asked(other, "player.pictures") > 3 and words(other) == "" and light(other) == "good")
+        assert complaints(other) == []
+
+
 def test_a_page_that_nobody_sees_is_not_drawn_for(page: Any, show: BallShow) -> None:
     (state,) = show.view._pages.values()
     page.execute_script("""

@@ -131,6 +131,53 @@ def test_a_token_is_asked_for(tmp_path: Path, room: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_token_in_a_new_address_counts(tmp_path: Path, room: Path) -> None:
+    with served(room, tmp_path / "server", "--token", "sesame", *SMALL) as server, page(tmp_path / "profile") as viewer:
+        viewer.open(server.url, "token=wrong")
+        viewer.until_true(lambda: "does not open" in viewer.words, "a wrong one is said to be")
+        viewer.browser.execute_script("location.hash = '#paused&token=sesame'")
+        viewer.until("player?.shown")
+
+
+@pytest.mark.slow
+def test_after_a_lost_device_the_visit_goes_on_where_it_was(tmp_path: Path, room: Path) -> None:
+    with served(room, tmp_path / "server", "--token", "sesame", *SMALL) as server, page(tmp_path / "profile") as viewer:
+        viewer.open(server.url, "background=204060&camera=fly&once&target=0,0,1")
+        address = viewer.browser.current_url
+        viewer.until_true(lambda: "asks for a token" in viewer.words, "the page asks")
+        viewer.browser.find_element("id", "token-text").send_keys("sesame\n")
+        viewer.until("player?.shown && player.pictures > 0")
+        viewer.do("player.pause(); player.seek(7); window.cags.camera.turn(0.3, 0.1); window.before = true")
+        viewer.until("player.shown.frame === 7 && !player.waiting")
+        before = viewer.ask("({ place: window.cags.place, pose: window.cags.camera.pose })")
+        viewer.browser.execute_cdp_cmd("Browser.crashGpuProcess", {})
+        viewer.until("window.cags && !window.before && player?.shown && !player.waiting")
+        after = viewer.ask("({ place: window.cags.place, pose: window.cags.camera.pose })")
+        assert "graphics processor was lost" in viewer.ask("document.getElementById('toast').textContent")
+        assert {**before["place"], "seconds": 1.4, "playing": False} == {
+            name: value for name, value in after["place"].items() if name not in ("pose",)
+        }
+        assert after["place"]["token"] == "sesame"
+        assert after["pose"]["position"] == pytest.approx(before["pose"]["position"])
+        assert viewer.ask("[player.shown.frame, player.playing, player.loop]") == [7, False, False]
+        assert viewer.browser.current_url == address
+        assert viewer.ask("sessionStorage.length") == 0
+
+
+@pytest.mark.slow
+def test_a_device_that_refuses_a_buffer_ends_the_play_with_a_word(tmp_path: Path, server: Server) -> None:
+    with page(tmp_path) as viewer:
+        viewer.open(server.url)
+        viewer.until("player?.shown && player.pictures > 0")
+        viewer.do("window.cags.show.renderer.gpu.device.createBuffer({ size: 2 ** 50, usage: GPUBufferUsage.STORAGE })")
+        viewer.until_true(lambda: "The graphics processor" in viewer.words, "the page says why")
+        assert "The play has ended" in viewer.words
+        viewer.until("document.getElementById('light-text').textContent === 'this device: cannot draw'", 10)
+        viewer.browser.find_element("id", "again").click()
+        viewer.until("player?.shown && player.pictures > 0 && !window.cags.show.renderer.gpu.lost")
+
+
+@pytest.mark.slow
 def test_two_pages_have_a_camera_each(tmp_path: Path, server: Server, room: Path) -> None:
     with page(tmp_path / "one") as one, page(tmp_path / "two") as two:
         one.open(server.url, "paused")

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from cags_client.output.page.messages import parse
+from cags_client.output.page.messages import PageHello, parse
 from cags_common.errors import ProtocolError
 from support.mutation import mutate
 
@@ -51,6 +51,18 @@ def test_damaged_texts() -> None:
 @pytest.mark.timeout(3600)
 def test_damaged_texts_at_length() -> None:
     fuzz(100_000, seed=2)
+
+
+def test_what_is_taken_of_a_token_can_be_encoded() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(300):
+        token = "".join(map(chr, rng.integers(0xD780, 0xE080, 3)))  # mostly surrogates
+        try:
+            hello = parse(json.dumps({"type": "hello", "h264": True, "token": token}))
+        except ProtocolError:
+            continue
+        assert isinstance(hello, PageHello)
+        hello.token.encode()
 
 
 @pytest.mark.parametrize("digits", [400, 5000])

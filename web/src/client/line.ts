@@ -3,9 +3,11 @@
 import { type ClientText, type FrameMessage, unpack } from "./messages.ts";
 
 const RETRY_MS = [300, 1000, 2000, 4000];
-/** The client's close codes: the token is not right; a message was not. */
-const WRONG_TOKEN = 4401;
-const REFUSED = 1008;
+/** Close codes after which nothing is to be had by asking again at once: the client's own for a wrong token and for a page
+ * too many; a message that it does not take; "try again later", of whatever lies between. */
+const REFUSALS: Readonly<Record<number, Refusal>> = { 4401: "token", 4429: "room", 1008: "message", 1013: "room" };
+
+export type Refusal = "token" | "room" | "message";
 
 export interface LineEvents {
   opened(): void;
@@ -13,7 +15,7 @@ export interface LineEvents {
   frame(message: FrameMessage): void;
   closed(): void;
   /** It will not come back by itself. */
-  refused(why: "token" | "message", reason: string): void;
+  refused(why: Refusal, reason: string): void;
 }
 
 export class Line {
@@ -44,17 +46,18 @@ export class Line {
     const socket = (this.#socket = new WebSocket(this.#url));
     socket.binaryType = "arraybuffer";
     socket.addEventListener("open", () => {
-      this.#tries = 0;
       this.#events.opened();
     });
     socket.addEventListener("message", ({ data }: MessageEvent<string | ArrayBuffer>) => {
       if (this.#ended) return;
+      this.#tries = 0; // opening alone says nothing: what closes at once would be asked again in no time
       if (typeof data === "string") this.#events.text(JSON.parse(data) as ClientText);
       else this.#events.frame(unpack(data));
     });
     socket.addEventListener("close", ({ code, reason }) => {
       if (this.#ended) return;
-      if (code === WRONG_TOKEN || code === REFUSED) return this.#events.refused(code === REFUSED ? "message" : "token", reason);
+      const refusal = REFUSALS[code];
+      if (refusal) return this.#events.refused(refusal, reason);
       this.#events.closed();
       this.#timer = window.setTimeout(() => this.#open(), RETRY_MS[Math.min(this.#tries++, RETRY_MS.length - 1)]);
     });

@@ -33,6 +33,7 @@ export class ClientShow implements Show {
   #line: Line | null = null;
   #open = false;
   #closed = false; // since it was open, or tried to be
+  #full = false; // the newest attempt was one page too many
   #attempts = 0;
   #settled = 0;
 
@@ -69,6 +70,7 @@ export class ClientShow implements Show {
   async begin(): Promise<void> {
     const attempt = ++this.#attempts;
     this.player.forget();
+    this.#full = false;
     this.#host.messages.say("Connecting");
     const shows = await formats(location.search);
     if (attempt !== this.#attempts) return;
@@ -87,7 +89,9 @@ export class ClientShow implements Show {
       },
       refused: (why, reason) => {
         this.#open = false;
+        this.#full = why === "room";
         if (why === "token") this.#host.messages.askToken(this.#host.place.token !== undefined);
+        else if (this.#full) this.#host.failed("The client takes no more pages", reason || "Try again later");
         else this.#host.failed("The client does not understand this page", reason);
       },
     });
@@ -109,6 +113,7 @@ export class ClientShow implements Show {
 
   get verdict(): Verdict {
     const { info, state, shown, shownMs, waiting } = this.player;
+    if (this.#full) return { state: "bad", text: "client: no room" };
     if (this.#closed && !this.#open) return { state: "bad", text: "client: not reached" };
     if (!info || !state) return { state: "wait", text: "connecting" };
     if (state.away) return { state: "bad", text: "server: not reached" };

@@ -14,6 +14,15 @@ export class UnsupportedError extends Error {}
 /** A scene or frame that this adapter's buffers cannot hold. */
 export class TooLargeError extends Error {}
 
+/** What a page hears of a device that goes wrong by itself. */
+export interface GpuEvents {
+  /** It went away. */
+  lost(reason: string): void;
+  /** It refused what it was given, so that pictures are missing something from now on; told once, in a sentence for the
+   * page's user. */
+  refused(message: string): void;
+}
+
 export class Gpu {
   readonly device: GPUDevice;
   readonly name: string;
@@ -27,8 +36,8 @@ export class Gpu {
     this.maxBindingBytes = Math.min(device.limits.maxStorageBufferBindingSize, device.limits.maxBufferSize);
   }
 
-  /** Throws {@link UnsupportedError}. `onLost` is told when the device goes away by itself. */
-  static async make(onLost: (reason: string) => void): Promise<Gpu> {
+  /** Throws {@link UnsupportedError}. */
+  static async make(events: GpuEvents): Promise<Gpu> {
     if (!isSecureContext)
       throw new UnsupportedError("This page needs https:// or localhost: browsers give no graphics processor to plain http.");
     if (!navigator.gpu)
@@ -42,7 +51,12 @@ export class Gpu {
     const gpu = new Gpu(device, description || [vendor, architecture].filter(Boolean).join(" ") || "graphics processor");
     void device.lost.then((info) => {
       gpu.lost = true;
-      if (info.reason !== "destroyed") onLost(info.message);
+      if (info.reason !== "destroyed") events.lost(info.message);
+    });
+    let told = false; // what follows a refusal fails, too
+    device.addEventListener("uncapturederror", ({ error }) => {
+      if (!told && !gpu.lost) events.refused(refusalOf(error));
+      told = true;
     });
     return gpu;
   }
@@ -116,6 +130,13 @@ export class Gpu {
     if (!this.#made.has(key)) this.#made.set(key, make());
     return this.#made.get(key) as T;
   }
+}
+
+/** What a device refused: without a handler every later submission fails in silence. */
+function refusalOf(error: GPUError): string {
+  if (error instanceof GPUOutOfMemoryError)
+    return "The graphics processor has no memory left for this scene; close other pages and programs that draw, and try again.";
+  return `The graphics processor refused a step of the drawing (${error.message.split("\n")[0]})`;
 }
 
 function pipelineKey(shader: string, entry: string, constants: Constants): string {

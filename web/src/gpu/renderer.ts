@@ -5,7 +5,7 @@
 
 import type { Camera, FrameUpdate, Intrinsics } from "../seam.ts";
 import { placementOf } from "./camera.ts";
-import { Gpu } from "./device.ts";
+import { Gpu, type GpuEvents } from "./device.ts";
 import { bufferBytes, build, type Counts, encode, prepare } from "./graph.ts";
 import { CHANGED, COMPARE, CORRECTION, type DrawOptions, type Exactness, footprintOf, type Footprint, VETO_CELL_PX } from "./layout.ts";
 import { Presenter } from "./presenter.ts";
@@ -91,10 +91,10 @@ export class Renderer {
     this.#counted = gpu.device.createBuffer({ size: 16, usage: GPUBufferUsage.MAP_READ | GPUBufferUsage.COPY_DST });
   }
 
-  /** Throws {@link UnsupportedError}. `onLost` is told when the device goes away by itself. `corrects`: references may come;
-   * shaders that only they need take most of the time of compiling, and are not compiled beforehand where none can. */
-  static async make(canvas: HTMLCanvasElement, onLost: (reason: string) => void, corrects: boolean): Promise<Renderer> {
-    return new Renderer(await Gpu.make(onLost), canvas, corrects);
+  /** Throws {@link UnsupportedError}. `corrects`: references may come; shaders that only they need take most of the time of
+   * compiling, and are not compiled beforehand where none can. */
+  static async make(canvas: HTMLCanvasElement, events: GpuEvents, corrects: boolean): Promise<Renderer> {
+    return new Renderer(await Gpu.make(events), canvas, corrects);
   }
 
   destroy(): void {

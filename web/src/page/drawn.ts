@@ -44,6 +44,7 @@ export class DrawnShow implements Show {
   #rendering: Promise<Renderer> | undefined;
   #source: SceneSource | undefined; // started, and of no scene yet
   #attempts = 0;
+  #over: string | undefined; // what the light says of a play that has ended
   #retry = 0;
   #settled = 0;
   #left: Promise<unknown> = Promise.resolve(); // once no earlier play draws any more
@@ -64,6 +65,7 @@ export class DrawnShow implements Show {
   async begin(): Promise<void> {
     clearTimeout(this.#retry);
     this.#leave();
+    this.#over = undefined;
     this.#host.messages.say("Connecting");
     const attempt = ++this.#attempts;
     const rendering = (this.#rendering ??= this.#render());
@@ -92,6 +94,7 @@ export class DrawnShow implements Show {
   }
 
   get verdict(): Verdict {
+    if (this.#over !== undefined) return { state: "bad", text: this.#over };
     return this.player ? verdictOf(this.player) : { state: "wait", text: "connecting" };
   }
 
@@ -160,7 +163,11 @@ export class DrawnShow implements Show {
 
   /** The renderer, once there is a device; another attempt makes another where there was none. */
   #render(): Promise<Renderer> {
-    const made = Renderer.make(this.#host.canvas, (reason) => this.#lostDevice(reason), !PUBLISHED).then((renderer) => {
+    const events = {
+      lost: (reason: string) => this.#lostDevice(reason),
+      refused: (message: string) => this.#refusedBy(made, message),
+    };
+    const made: Promise<Renderer> = Renderer.make(this.#host.canvas, events, !PUBLISHED).then((renderer) => {
       renderer.background = this.#background;
       return (this.renderer = renderer);
     });
@@ -251,6 +258,7 @@ export class DrawnShow implements Show {
   #onFailure(player: Player, { code, message, fatal }: SourceError): void {
     if (player !== this.player) return;
     const { messages, place } = this.#host;
+    if (fatal) this.#over = "ended";
     if (fatal && code !== "token") return this.#host.failed("The play has ended", message);
     embed.tell("error", { message });
     if (fatal) messages.askToken(place.token !== undefined);
@@ -265,13 +273,24 @@ export class DrawnShow implements Show {
   }
 
   #lostDevice(reason: string): void {
-    const { messages, canvas } = this.#host;
     this.renderer = null;
     this.#rendering = undefined;
-    messages.toast(`The graphics processor was lost (${reason}); starting again`);
-    this.#host.keepPlace();
-    canvas.replaceWith(canvas.cloneNode()); // a canvas stays with the device that it was given
-    location.reload();
+    this.#host.reload(`The graphics processor was lost${reason && ` (${reason.split("\n")[0]})`}; the page has started again`);
+  }
+
+  /** The device of `made` did not take what it was given: nothing that it draws can be believed. Another attempt has another. */
+  #refusedBy(made: Promise<Renderer>, message: string): void {
+    if (this.#rendering !== made) return;
+    this.#rendering = undefined;
+    this.#attempts++; // what is beginning does not go on
+    this.immersive?.leave();
+    this.#leave();
+    this.#over = "this device: cannot draw";
+    void made.then((renderer) => {
+      renderer.destroy();
+      if (this.renderer === renderer) this.renderer = null;
+    });
+    this.#host.failed("The play has ended", message);
   }
 
   /** A window of another shape is drawn whole, and the server told. */

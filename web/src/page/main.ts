@@ -12,11 +12,13 @@ import { DrawnShow } from "./drawn.ts";
 import * as embed from "./embed.ts";
 import { Inspector } from "./inspector.ts";
 import { Messages } from "./messages.ts";
-import { hashOf, type Place, placeOf, sceneOf } from "./place.ts";
+import { hashOf, type Left, leave, movedTo, type Place, placeOf, sceneOf, taken } from "./place.ts";
 import type { Host, Playing, Show } from "./show.ts";
 import type { Angles } from "./view.ts";
 
 const TELL_MS = 250;
+/** How long it is said why the page was loaded anew. */
+const EXPLAINED_MS = 8000;
 
 /** Where a client listens that draws for this page; undefined: the page draws itself. */
 const CLIENT = document.querySelector<HTMLMetaElement>('meta[name="cags-client"]')?.content;
@@ -29,7 +31,7 @@ class Viewer implements Host {
   readonly canvas = the<HTMLCanvasElement>("picture");
   camera: ViewCamera | null = null;
   angles: Angles = { tanX: 1, tanY: 1 };
-  place: Place = placeOf(location.hash);
+  place: Place;
   readonly #stage = the("stage");
   readonly #light = the("light");
   readonly #lightText = the("light-text");
@@ -42,6 +44,8 @@ class Viewer implements Host {
   #there = false; // a picture of the newest play
 
   constructor() {
+    const left = takenUp();
+    this.place = left?.place ?? placeOf(location.hash);
     this.messages = new Messages(() => void this.show.begin(), (token) => {
       this.place = { ...this.place, token };
       void this.show.begin();
@@ -58,6 +62,7 @@ class Viewer implements Host {
       record: () => this.#record(),
       immerse: () => this.show.immerse(),
     });
+    if (left) this.messages.toast(left.why, EXPLAINED_MS);
     the("record").hidden = Film.kind === undefined;
     the("scenes").hidden = SCENE === undefined;
     this.#listen();
@@ -107,6 +112,7 @@ class Viewer implements Host {
     const { player } = this;
     const there = this.#there;
     this.#there = false;
+    this.#showLight();
     if (!player) return;
     player.step();
     this.#there = player.shown !== null;
@@ -117,20 +123,23 @@ class Viewer implements Host {
     this.#word(player);
     this.#bar.update(player);
     if (this.#bar.inspecting) this.#inspector.update(player.pictures, (rate) => this.show.figures(rate));
-    const { state, text } = this.show.verdict;
-    if (this.#lightText.textContent !== text) this.#lightText.textContent = text;
-    this.#light.dataset.state = state;
     if (now - this.#toldMs > TELL_MS) {
       this.#toldMs = now;
       if (player.info) embed.tell("time", { seconds: player.seconds, playing: player.playing });
     }
   }
 
+  #showLight(): void {
+    const { state, text } = this.show.verdict;
+    if (this.#lightText.textContent !== text) this.#lightText.textContent = text;
+    this.#light.dataset.state = state;
+  }
+
   /** What keeps the picture from going on is said over it, until it does. */
   #word(player: Playing): void {
     const { trouble } = this.show;
     const said = trouble?.[0] ?? "";
-    if (said === this.#said) return;
+    if (said === this.#said || this.messages.failed) return;
     this.#said = said;
     if (trouble) this.messages.say(...trouble);
     else if (player.shown) this.messages.quiet();
@@ -144,17 +153,28 @@ class Viewer implements Host {
     this.camera?.home(this.angles.tanX, this.angles.tanY);
   }
 
-  #hash(): string {
-    return hashOf(this.player!.seconds, this.camera!.pose, this.camera!.mode);
+  reload(why: string): void {
+    try {
+      leave(sessionStorage, location.href, { place: this.#placeNow(), why });
+    } catch {
+      // storage is turned off: the visit begins again where the address says
+    }
+    location.reload();
   }
 
-  keepPlace(): void {
-    if (this.player && this.camera) history.replaceState(null, "", this.#hash());
+  /** Where the visit stands, with all that the address and the user have said. */
+  #placeNow(): Place {
+    const { player, camera } = this;
+    return {
+      ...this.place,
+      ...(player?.info ? { seconds: player.seconds, playing: player.playing, loop: the<HTMLInputElement>("loop").checked } : {}),
+      ...(camera ? { pose: camera.pose, mode: camera.mode } : {}),
+    };
   }
 
   async #share(): Promise<void> {
     if (!this.player || !this.camera) return;
-    const link = location.href.replace(/#.*/, "") + this.#hash();
+    const link = location.href.replace(/#.*/, "") + hashOf(this.player.seconds, this.camera.pose, this.camera.mode);
     try {
       await navigator.clipboard.writeText(link);
       this.messages.toast("Link copied");
@@ -206,7 +226,7 @@ class Viewer implements Host {
     window.addEventListener("keyup", (event) => void this.#gestures.key(event, false));
     document.addEventListener("visibilitychange", () => !this.show.immersed && this.player?.rest(document.hidden));
     addEventListener("hashchange", () => {
-      this.place = { ...placeOf(location.hash), ...(this.place.token ? { token: this.place.token } : {}) };
+      this.place = movedTo(location.hash, this.place);
       void this.show.begin();
     });
     addEventListener("pagehide", () => this.player?.close());
@@ -226,6 +246,15 @@ class Viewer implements Host {
   #title(text: string): void {
     the("title").textContent = text;
     document.title = `${text} · cags-stream`;
+  }
+}
+
+/** What this page left before it was loaded anew. */
+function takenUp(): Left | undefined {
+  try {
+    return taken(sessionStorage, location.href);
+  } catch {
+    return undefined; // storage is turned off, or holds what no page of ours wrote
   }
 }
 

@@ -41,6 +41,11 @@ export class Messages {
     this.#all.hidden = way !== "scenes";
   }
 
+  /** Whether it is said that it has ended, or what is asked of the user first: nothing under way is said over that. */
+  get failed(): boolean {
+    return this.#stage.hasAttribute("data-failed");
+  }
+
   askToken(wrong: boolean): void {
     this.#put(wrong ? "This token does not open the server" : "This server asks for a token", "Whoever runs the server can give you one.", "data-failed");
     this.#token.hidden = false;
@@ -48,11 +53,11 @@ export class Messages {
   }
 
   /** A short word that goes by itself. */
-  toast(text: string): void {
+  toast(text: string, ms = TOAST_MS): void {
     this.#toast.textContent = text;
     this.#toast.hidden = false;
     clearTimeout(this.#toastTimer);
-    this.#toastTimer = window.setTimeout(() => (this.#toast.hidden = true), TOAST_MS);
+    this.#toastTimer = window.setTimeout(() => (this.#toast.hidden = true), ms);
   }
 
   #put(headline: string, hint: string, state: string): void {

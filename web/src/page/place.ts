@@ -83,6 +83,34 @@ function isNear(value: unknown): boolean {
   return typeof value === "number" && Math.abs(value) <= FARTHEST; // nor NaN
 }
 
+/** The place where a visit goes on at `hash`: a token is known on until another one is given. */
+export function movedTo(hash: string, { token }: Place): Place {
+  return { ...(token ? { token } : {}), ...placeOf(hash) };
+}
+
+/** What a page leaves to the one that it is loaded anew as. */
+export interface Left {
+  readonly place: Place;
+  /** Why it was loaded anew, to be said. */
+  readonly why: string;
+}
+
+const LEFT = "cags.left";
+
+/** Leave the whole place, with its token, to the page that is loaded next at `address`, in this tab alone. */
+export function leave(storage: Storage, address: string, left: Left): void {
+  storage.setItem(LEFT, JSON.stringify({ address, ...left }));
+}
+
+/** What was left for the page at `address`, once; undefined where nothing was. */
+export function taken(storage: Storage, address: string): Left | undefined {
+  const text = storage.getItem(LEFT);
+  storage.removeItem(LEFT);
+  if (text === null) return undefined;
+  const { address: meant, ...left } = JSON.parse(text) as Left & { readonly address: string };
+  return meant === address ? left : undefined;
+}
+
 /** The # of a link to a moment seen from a pose; the token is not passed on. */
 export function hashOf(seconds: number, pose: Pose, mode: Mode): string {
   const short = (x: number): string => String(Number(x.toFixed(4)));

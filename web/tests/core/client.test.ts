@@ -5,6 +5,7 @@ import test from "node:test";
 import * as to from "../../src/client/messages.ts";
 import type { FrameHead, SceneText, StateText } from "../../src/client/messages.ts";
 import { capOf, stepOf } from "../../src/client/panel.ts";
+import { Line } from "../../src/client/line.ts";
 import { ClientPlayer } from "../../src/client/player.ts";
 import type { Pose } from "../../src/seam.ts";
 import { fromHex, hex, vectors } from "./vectors.ts";
@@ -51,6 +52,55 @@ test("the cap's slider is logarithmic, and its end lifts the cap", () => {
   assert.equal(capOf(100), null);
   assert.deepEqual([stepOf(null), stepOf(0.5), stepOf(150), stepOf(1e6), stepOf(0)], [100, 0, 99, 99, 0]);
   for (const step of [0, 17, 50, 99]) assert.equal(stepOf(capOf(step)), step);
+});
+
+/** A socket that does what a test says. */
+class Wire extends EventTarget {
+  static readonly OPEN = 1;
+  static readonly all: Wire[] = [];
+  readyState = 1;
+  constructor() {
+    super();
+    Wire.all.push(this);
+  }
+  send(): void {}
+  close(): void {}
+  now(type: string, fields: object = {}): void {
+    this.dispatchEvent(Object.assign(new Event(type), fields));
+  }
+}
+
+test("a line that was refused says why and does not ask again; one that only opens is asked ever more slowly", (t) => {
+  t.mock.timers.enable({ apis: ["setTimeout"] });
+  Object.assign(globalThis, { WebSocket: Wire, window: globalThis });
+  const told: string[] = [];
+  const line = (): Line =>
+    new Line("ws://here/live", {
+      opened: () => undefined, text: () => undefined, frame: () => undefined, closed: () => told.push("closed"),
+      refused: (why, reason) => told.push(`${why}: ${reason}`),
+    });
+  for (const [code, why] of [[4401, "token"], [4429, "room"], [1013, "room"], [1008, "message"]] as const) {
+    line();
+    const { length } = Wire.all;
+    Wire.all.at(-1)!.now("open");
+    Wire.all.at(-1)!.now("close", { code, reason: "words" });
+    t.mock.timers.tick(60_000);
+    assert.deepEqual([told.pop(), told.length, Wire.all.length], [`${why}: words`, 0, length]);
+  }
+  const asked = (ms: number): number => {
+    const { length } = Wire.all;
+    Wire.all.at(-1)!.now("open");
+    Wire.all.at(-1)!.now("close", { code: 1006, reason: "" });
+    t.mock.timers.tick(ms);
+    return Wire.all.length - length;
+  };
+  line();
+  assert.deepEqual([asked(300), asked(300)], [1, 0]);
+  t.mock.timers.tick(700);
+  assert.deepEqual([asked(1999), Wire.all.at(-1)!.readyState], [0, 1]);
+  t.mock.timers.tick(1);
+  Wire.all.at(-1)!.now("message", { data: "{}" });
+  assert.equal(asked(300), 1, "one that spoke is asked at once again");
 });
 
 /** A page without a screen. */

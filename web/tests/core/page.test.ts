@@ -1,12 +1,14 @@
 /** What anybody may write into an address, send to the page, or do to its window; and what the page says of its picture. */
 
 import assert from "node:assert/strict";
+import { registerHooks } from "node:module";
 import test from "node:test";
 import { headingsOf } from "../../src/page/author.ts";
 import { acts } from "../../src/page/bar.ts";
 import { verdictOf } from "../../src/page/light.ts";
-import { givenPose, placeOf } from "../../src/page/place.ts";
+import { givenPose, hashOf, leave, movedTo, type Place, placeOf, taken } from "../../src/page/place.ts";
 import { anglesOf, intrinsicsOf, MOST_PIXELS, pixelsOf, usableSize } from "../../src/page/view.ts";
+import type { Gpu } from "../../src/gpu/device.ts";
 import type { Player } from "../../src/player/player.ts";
 import { nowUs } from "../../src/seam.ts";
 
@@ -19,6 +21,70 @@ test("an address says where and when a visit begins, and nonsense in it says not
     const { seconds, ...place } = placeOf(`#${odd}`);
     assert.deepEqual([seconds ?? 0, place], [0, {}], odd);
   }
+});
+
+test("a token is known on through new addresses, until one says another", () => {
+  assert.deepEqual(movedTo("#t=2", { token: "old", seconds: 1, loop: false }), { token: "old", seconds: 2 });
+  assert.deepEqual(movedTo("#token=new", { token: "old" }), { token: "new" });
+  assert.deepEqual(movedTo("#t=2", {}), { seconds: 2 });
+});
+
+/** As much of a tab's storage as is used. */
+class Drawer extends Map<string, string> {
+  getItem(key: string): string | null {
+    return this.get(key) ?? null;
+  }
+  setItem(key: string, value: string): void {
+    this.set(key, value);
+  }
+  removeItem(key: string): void {
+    this.delete(key);
+  }
+}
+
+test("a page that is loaded anew goes on with all that it knew, once, and no link says the token", () => {
+  const storage = new Drawer() as unknown as Storage;
+  const place: Place = {
+    seconds: 1.25, pose: { position: [1, 2, 3], rotation: [0.6, 0, 0.8, 0] }, mode: "fly", playing: false, loop: false, token: "sesame",
+    target: [0, 0, 9], background: "#1a2b3c", size: [640, 480],
+  };
+  leave(storage, "http://here/?scene=a#t=1", { place, why: "It was lost" });
+  assert.deepEqual(taken(storage, "http://here/?scene=a#t=1"), { place, why: "It was lost" });
+  assert.equal(taken(storage, "http://here/?scene=a#t=1"), undefined, "a later visit begins where the address says");
+  leave(storage, "http://here/?scene=a", { place, why: "It was lost" });
+  assert.equal(taken(storage, "http://here/?scene=b"), undefined);
+  assert.doesNotMatch(hashOf(1.25, place.pose!, "fly"), /sesame|token/);
+});
+
+/** Shaders and their graph are files that the page's build bundles, and node does not: here nothing is compiled. */
+const EMPTY = { format: "module", source: "export default { passes: {}, buffers: {} }", shortCircuit: true } as const;
+registerHooks({ load: (url, context, next) => (/\.(json|wgsl)$/.test(url) ? EMPTY : next(url, context)) });
+
+/** A graphics device that goes wrong when a test says so. */
+async function device(): Promise<{ device: EventTarget; told: string[]; gpu: Gpu; refuse(error: Error): void }> {
+  class GPUOutOfMemoryError extends Error {}
+  const made = Object.assign(new EventTarget(), { limits: { maxStorageBufferBindingSize: 1, maxBufferSize: 1 }, lost: new Promise(() => undefined), destroy: () => undefined });
+  const adapter = { limits: {}, info: {}, requestDevice: () => Promise.resolve(made) };
+  Object.assign(globalThis, { isSecureContext: true, GPUOutOfMemoryError });
+  Object.defineProperty(globalThis, "navigator", { configurable: true, value: { gpu: { requestAdapter: () => Promise.resolve(adapter) } } });
+  const told: string[] = [];
+  const { Gpu } = await import("../../src/gpu/device.ts");
+  const gpu = await Gpu.make({ lost: () => told.push("lost"), refused: (message) => told.push(message) });
+  return { device: made, told, gpu, refuse: (error) => made.dispatchEvent(Object.assign(new Event("uncapturederror"), { error })) };
+}
+
+test("a device that refuses what it is given is told of, once, in a sentence", async () => {
+  const full = await device();
+  full.refuse(new (globalThis as unknown as { GPUOutOfMemoryError: new () => Error }).GPUOutOfMemoryError());
+  full.refuse(new Error("[Invalid Buffer] is invalid"));
+  assert.deepEqual(full.told, ["The graphics processor has no memory left for this scene; close other pages and programs that draw, and try again."]);
+  const odd = await device();
+  odd.refuse(new Error("[Buffer] is too large\n - While calling"));
+  assert.deepEqual(odd.told, ["The graphics processor refused a step of the drawing ([Buffer] is too large)"]);
+  const gone = await device();
+  gone.gpu.destroy();
+  gone.refuse(new Error("late"));
+  assert.deepEqual(gone.told, []);
 });
 
 test("a pose that a page around this one sends is seven numbers, or none", () => {

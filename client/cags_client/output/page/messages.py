@@ -107,6 +107,10 @@ def _hello(fields: dict[str, Any]) -> PageHello:
     token = fields.get("token", "")
     if not isinstance(token, str) or len(token) > MAX_TOKEN:
         raise ProtocolError(f"page message: token must be a text of at most {MAX_TOKEN} characters")
+    try:
+        token.encode()
+    except UnicodeEncodeError as error:  # JSON may hold half of a pair of surrogates
+        raise ProtocolError(f"page message: token must be a text of whole characters ({error.reason})") from error
     return PageHello(_flag(fields, "h264"), "raw" in fields and _flag(fields, "raw"), token)
 
 

@@ -67,6 +67,12 @@ REACHED_AT = {"localhost": "127.0.0.1", "0.0.0.0": "127.0.0.1", "::": "::1"}  # 
 WRONG_TOKEN = 4401
 """The WebSocket's close code for a page without the right token."""
 
+NO_ROOM = 4429
+"""That of a page beyond :data:`MAX_PAGES`: browsers do not tell a page what HTTP answers to a WebSocket."""
+
+MAX_REASON_BYTES = 123
+"""Of a close frame (RFC 6455, section 5.5)."""
+
 STATE_PERIOD_S = 0.25
 SLOW_PAGE_S = 5.0
 """How long a page may take nothing: meanwhile the others get no pictures."""
@@ -156,8 +162,8 @@ class LiveView:
     async def _live(self, request: web.Request) -> web.WebSocketResponse:
         if not same_origin(request):
             raise web.HTTPForbidden(text="this WebSocket serves its own page only\n")
-        if len(self._pages) >= MAX_PAGES or not self._made_room():
-            raise web.HTTPServiceUnavailable(text=f"{TOO_MANY}\n")
+        if not self._made_room():
+            raise web.HTTPServiceUnavailable(text=f"{MAX_LINKS} pages wait for the clip already; close one\n")
         socket = web.WebSocketResponse(
             timeout=CLOSE_TIMEOUT_S, max_msg_size=MAX_TEXT_BYTES, heartbeat=20.0, compress=False
         )
@@ -202,7 +208,8 @@ class LiveView:
         try:
             await self._on_message(socket, parse(text))
         except ProtocolError as error:
-            await socket.close(code=1008, message=str(error).encode()[:120])
+            whole = str(error).encode(errors="replace")[:MAX_REASON_BYTES].decode(errors="ignore")  # no cut character
+            await socket.close(code=1008, message=whole.encode())
         except CagsError as error:
             await socket.send_str(json.dumps({"type": "error", "text": str(error)}))
 
@@ -260,7 +267,7 @@ class LiveView:
             await socket.close(code=WRONG_TOKEN, message=b"wrong token" if hello.token else b"token needed")
             return
         if len(self._pages) >= MAX_PAGES and socket not in self._pages:
-            await socket.close(code=1013, message=TOO_MANY.encode())
+            await socket.close(code=NO_ROOM, message=TOO_MANY.encode())
             return
         peer = socket.get_extra_info("peername", ("",))
         kind = kind_of(hello, self.settings, local=on_this_machine(peer[0]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from cags_common.errors import ConfigError
 from cags_common.settings import check_settings, setting
 
 
@@ -33,3 +34,7 @@ class ViewSettings:
 
     def __post_init__(self) -> None:
         check_settings(self)
+        if not self.view_token.isprintable():  # bytes that are no text come from a shell as halves of surrogates
+            raise ConfigError(
+                f"view_token = {self.view_token!r} must be of printable characters: a page sends it as text"
+            )

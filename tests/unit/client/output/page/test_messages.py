@@ -72,6 +72,7 @@ def test_every_message_is_parsed() -> None:
         (said(type="set", name="delay_ms", value=None), "delay_ms"),
         (said(type="hello", h264=True, token=5), "token"),
         (said(type="hello", h264=True, token="x" * 257), "token"),
+        (said(type="hello", h264=True, token="\ud800"), "token"),
         (said(type="hello", h264=True, filler="x" * messages.MAX_TEXT_BYTES), "longer"),
     ],
 )

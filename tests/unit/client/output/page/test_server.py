@@ -16,7 +16,7 @@ import cags_web
 from cags_client.output.page import LiveView, ViewSettings, server
 from cags_client.output.page.assets import MARK, NOT_BUILT
 from cags_client.output.page.open_page import SLOW_WRITE_S, SLOW_WRITES
-from cags_client.output.page.server import WRONG_TOKEN
+from cags_client.output.page.server import NO_ROOM, WRONG_TOKEN
 from cags_client.output.page.shaper_control import ShaperControl
 from cags_client.output.page.video import RAW
 from cags_common.errors import ConfigError, NetworkError
@@ -247,6 +247,11 @@ async def test_a_page_without_the_token_is_shown_nothing(client: aiohttp.ClientS
         assert (await welcome.told("scene"))["frames"] == FRAMES
 
 
+def test_a_token_that_no_page_can_send_is_refused() -> None:
+    with pytest.raises(ConfigError, match="printable"):
+        ViewSettings(view_token="\udcff")
+
+
 async def test_wishes_that_cannot_be_met_are_answered(show: BallShow, client: aiohttp.ClientSession) -> None:
     visitor = await visit(client, show)
     for name in ("restorer", "exactness", "resolution"):
@@ -296,7 +301,41 @@ async def test_lines_without_a_hello_neither_pile_up_nor_keep_a_page_out(
         while show.view.pages < server.MAX_PAGES:  # noqa: ASYNC110 - what is waited for lies in the server
             await asyncio.sleep(0.01)
     late = silent[5 + server.MAX_PAGES]
-    assert (await late.receive(timeout=10)).data == 1013, "the ninth page"
+    assert (await late.receive(timeout=10)).data == NO_ROOM, "the ninth page"
+
+
+async def test_a_page_too_many_is_told_why_and_the_others_go_on(
+    show: BallShow, client: aiohttp.ClientSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "MAX_PAGES", 1)
+    first, second = await visit(client, show), await visit(client, show)
+    await first.frame()
+    message = await second.socket.receive(timeout=10)
+    assert (message.type, message.data, message.extra) == (aiohttp.WSMsgType.CLOSE, NO_ROOM, server.TOO_MANY)
+    await first.frame()
+    await first.socket.close()
+    third = await visit(client, show)
+    await third.told("scene")
+
+
+async def test_a_token_of_half_a_character_is_refused_before_it_is_looked_at(
+    show: BallShow, client: aiohttp.ClientSession, caplog: pytest.LogCaptureFixture
+) -> None:
+    visitor = await visit(client, show, token="\ud800")
+    message = await visitor.socket.receive(timeout=10)
+    assert (message.type, message.data) == (aiohttp.WSMsgType.CLOSE, 1008)
+    assert "token must be" in (message.extra or "")
+    assert caplog.text == ""
+
+
+async def test_a_long_reason_ends_with_a_whole_character(show: BallShow, client: aiohttp.ClientSession) -> None:
+    for letters in range(3):
+        visitor = await visit(client, show)
+        await visitor.say(type="set", name="x" * letters + "é" * 200, value=1)
+        while (message := await visitor.socket.receive(timeout=10)).type is not aiohttp.WSMsgType.CLOSE:
+            assert message.type in (aiohttp.WSMsgType.TEXT, aiohttp.WSMsgType.BINARY), message
+        assert message.data == 1008
+        assert "é" in (message.extra or "")
 
 
 @pytest.fixture
