@@ -278,7 +278,8 @@ export class DrawnShow implements Show {
     this.#host.reload(`The graphics processor was lost${reason && ` (${reason.split("\n")[0]})`}; the page has started again`);
   }
 
-  /** The device of `made` did not take what it was given: nothing that it draws can be believed. Another attempt has another. */
+  /** The device of `made` did not take what it was given, so nothing that it draws can be believed. Another attempt makes
+   * another device. */
   #refusedBy(made: Promise<Renderer>, message: string): void {
     if (this.#rendering !== made) return;
     this.#rendering = undefined;
