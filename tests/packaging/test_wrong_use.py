@@ -34,7 +34,7 @@ WRONG = {
     "cags-server --bundle {bundle} --predictor magic": (2, "known: hold"),
     "cags-server --bundle {bundle} --tls-cert cert.pem": (2, "tls-key"),
     "cags-client --url {nobody} --width 0": (2, "[1, 8192]"),
-    "cags-client --url {nobody} --stages-every 0": (2, "at least 1"),
+    "cags-client --url {nobody} --stages pictures --stages-every 0": (2, "at least 1"),
     "cags-client --url {nobody} --view --save x": (2, "leave one out"),
     "cags-client --url {nobody} --view-port 0": (2, "add --view"),
     "cags-client --url {nobody} --shaper-control foo": (2, "add --view"),

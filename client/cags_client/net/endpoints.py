@@ -102,7 +102,7 @@ class Endpoints:
             subprotocol=SUBPROTOCOL,
             max_message_bytes=MAX_MESSAGE_BYTES,
             timeout_s=timeout_s,
-            token=self._token.encode().decode("iso-8859-1"),  # websockets writes headers in that: UTF-8 on the wire
+            token=self._token,
             tls=self._tls,
         )
 

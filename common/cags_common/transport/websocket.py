@@ -128,6 +128,11 @@ class ClientWebSocket:
         self._ws.transport.abort()
 
 
+def _as_header(text: str) -> str:
+    """``text`` such that the library, which writes headers as Latin-1, writes UTF-8."""
+    return text.encode().decode("iso-8859-1")
+
+
 async def connect(
     url: str,
     *,
@@ -150,7 +155,7 @@ async def connect(
             url,
             subprotocols=[Subprotocol(subprotocol)],
             compression=None,
-            additional_headers={"Authorization": f"Bearer {token}"} if token else None,
+            additional_headers={"Authorization": f"Bearer {_as_header(token)}"} if token else None,
             user_agent_header=None,
             proxy=None,
             open_timeout=timeout_s,

@@ -90,10 +90,10 @@ _CONFIGS = {
         layered(
             "layered",
             {
-                "scale": (10, 6),
-                "rotation": (10, 8),
-                "opacity": (6, 0),
-                "sh0": (10, 6),
+                "scale": (10, 10),
+                "rotation": (10, 11),
+                "opacity": (6, 4),
+                "sh0": (10, 10),
                 "sh1": (8, 8),
                 "sh2": (8, 8),
                 "sh3": (8, 8),

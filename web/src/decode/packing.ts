@@ -30,8 +30,15 @@ export function unpackInto(packed: PackedCodes, codes: Uint32Array): void {
   }
 }
 
-/** Strictly ascending ids below `limit`. Raises {@link DecodeError} naming `what`. */
-export function decodeIds(data: Uint8Array, what: string, limit = MAX_SPLATS): Int32Array {
+/**
+ * Strictly ascending ids below `limit`, `expected` in number. Raises {@link DecodeError} naming `what`, for another
+ * number before anything is inflated.
+ */
+export function decodeIds(data: Uint8Array, what: string, limit = MAX_SPLATS, expected?: number): Int32Array {
+  const claimed = data.length < 8 ? 0 : new DataView(data.buffer, data.byteOffset, 8).getUint32(0, true);
+  if (expected !== undefined && claimed !== expected) {
+    throw new DecodeError(`${what}: claims ${claimed} ids for ${expected} splats`);
+  }
   if (!data.length) return new Int32Array(0);
   if (data.length < 8) throw new DecodeError(`${what}: ${data.length} bytes are too few for an id list`);
   const view = new DataView(data.buffer, data.byteOffset, 8);

@@ -91,7 +91,5 @@ function readHeader(payload: Uint8Array, attributes: number): Header {
 function readIds(payload: Uint8Array, head: Header): Int32Array {
   const { firstId, splats } = head;
   if (firstId !== undefined) return Int32Array.from({ length: splats }, (_, i) => firstId + i);
-  const ids = decodeIds(payload.subarray(HEADER_BYTES, HEADER_BYTES + head.idBytes), "tile ids");
-  if (ids.length !== splats) throw new DecodeError(`tile: has ${ids.length} ids for ${splats} splats`);
-  return ids;
+  return decodeIds(payload.subarray(HEADER_BYTES, HEADER_BYTES + head.idBytes), "tile ids", MAX_SPLATS, splats);
 }

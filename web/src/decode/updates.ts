@@ -3,7 +3,7 @@ import { DecodeError } from "../bytes/errors.ts";
 import { unsqueeze } from "../bytes/inflate.ts";
 import type { Codebook } from "./codebooks.ts";
 import type { LodLayer } from "./manifest.ts";
-import { decodeIds, type PackedCodes, packedBytes, unpackInto } from "./packing.ts";
+import { decodeIds, MAX_SPLATS, type PackedCodes, packedBytes, unpackInto } from "./packing.ts";
 import { alphaLogit, type Column, SH_REST_ATTRIBUTES } from "./splats.ts";
 import { decodeLayer, MAX_TILE_SPLATS } from "./tiles.ts";
 
@@ -176,8 +176,7 @@ function readParts(payload: Uint8Array): Parts {
   }
   let at = HEAD_BYTES;
   const [idList, masks, ramps] = [idBytes, maskBytes, rampBytes].map((size) => payload.subarray(at, (at += size)));
-  const ids = decodeIds(idList!, "update's ids");
-  if (ids.length !== splats) throw new DecodeError(`update: has ${ids.length} ids for ${splats} splats`);
+  const ids = decodeIds(idList!, "update's ids", MAX_SPLATS, splats);
   return { ids, attributes, masks: masks!, ramps: ramps!, codes: payload.subarray(at) };
 }
 

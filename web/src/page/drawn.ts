@@ -15,7 +15,7 @@ import { onChange, seen, the } from "./dom.ts";
 import * as embed from "./embed.ts";
 import { drawnFigures, type Figure } from "./inspector.ts";
 import { type Verdict, verdictOf } from "./light.ts";
-import { beside, sceneOf } from "./place.ts";
+import { bearer, beside, sceneOf } from "./place.ts";
 import { type Host, NOWHERE, SERVER_AWAY, type Show } from "./show.ts";
 import { anglesOf, intrinsicsOf, MOST_PIXELS, pixelsOf, usableSize } from "./view.ts";
 
@@ -178,7 +178,7 @@ export class DrawnShow implements Show {
   async #bundle(): Promise<SceneInfo | undefined> {
     const { messages, place } = this.#host;
     const scene = sceneOf(location.search);
-    const headers = place.token ? { Authorization: `Bearer ${place.token}` } : undefined;
+    const headers = place.token ? { Authorization: bearer(place.token) } : undefined;
     let answer: Response;
     try {
       answer = await fetch(beside("bundle"), headers ? { headers } : {});

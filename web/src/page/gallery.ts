@@ -3,7 +3,7 @@
 import "./gallery.css";
 import { headingsOf } from "./author.ts";
 import { the } from "./dom.ts";
-import { placeOf } from "./place.ts";
+import { bearer, placeOf } from "./place.ts";
 import { Uploads } from "./uploads.ts";
 
 interface Entry {
@@ -20,7 +20,7 @@ let token = placeOf(location.hash).token;
 export function ask(path: string, options: RequestInit = {}): Promise<Response> {
   return fetch(new URL(path, location.href.replace(/[?#].*/, "")), {
     ...options,
-    headers: { ...options.headers, ...(token ? { Authorization: `Bearer ${token}` } : {}) },
+    headers: { ...options.headers, ...(token ? { Authorization: bearer(token) } : {}) },
   });
 }
 

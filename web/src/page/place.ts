@@ -32,6 +32,11 @@ export function sceneOf(search: string): string | undefined {
   return new URLSearchParams(search).get("scene") ?? undefined;
 }
 
+/** The header that shows a token. Browsers write headers as Latin-1, and the server reads UTF-8. */
+export function bearer(token: string): string {
+  return `Bearer ${String.fromCharCode(...new TextEncoder().encode(token))}`;
+}
+
 /** The address of `path` beside the page, for the scene that the page shows. */
 export function beside(path: string): URL {
   const url = new URL(path, location.href);

@@ -6,7 +6,7 @@ import test from "node:test";
 import { headingsOf } from "../../src/page/author.ts";
 import { acts } from "../../src/page/bar.ts";
 import { verdictOf } from "../../src/page/light.ts";
-import { givenPose, hashOf, leave, movedTo, type Place, placeOf, taken } from "../../src/page/place.ts";
+import { bearer, givenPose, hashOf, leave, movedTo, type Place, placeOf, taken } from "../../src/page/place.ts";
 import { anglesOf, intrinsicsOf, MOST_PIXELS, pixelsOf, usableSize } from "../../src/page/view.ts";
 import type { Gpu } from "../../src/gpu/device.ts";
 import type { Player } from "../../src/player/player.ts";
@@ -134,4 +134,10 @@ test("the light is not green over a picture without any splats", () => {
     }) as unknown as Player;
   assert.deepEqual(verdictOf(player(2)).state, "good");
   assert.deepEqual(verdictOf(player(NaN)), { state: "fair", text: "nothing in view" });
+});
+
+test("a token of any script is shown to the server as UTF-8", () => {
+  const sent = bearer("schlüssel 鍵");
+  assert.equal(new TextDecoder().decode(Uint8Array.from(sent, (each) => each.charCodeAt(0))), "Bearer schlüssel 鍵");
+  assert.doesNotThrow(() => new Headers({ Authorization: sent }));
 });
