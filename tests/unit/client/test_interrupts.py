@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+from collections.abc import Iterator
 
 import pytest
 
@@ -35,7 +36,17 @@ async def test_a_commands_own_handlers_are_back_after_the_block() -> None:
         signal.signal(signal.SIGTERM, before)
 
 
-def test_outside_of_a_loop_the_first_signal_is_noted_and_the_second_has_its_usual_effect() -> None:
+@pytest.fixture
+def usual_interrupt() -> Iterator[None]:
+    """SIGINT as in a program in the foreground: shells have those in the background ignore it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_outside_of_a_loop_the_first_signal_is_noted_and_the_second_has_its_usual_effect(
+    usual_interrupt: None,
+) -> None:
     before = signal.getsignal(signal.SIGTERM)
     with noted_interrupts() as noted:
         signal.raise_signal(signal.SIGINT)
