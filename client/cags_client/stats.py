@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from cags_common.runtime.rare_log import RareLog
 
 MAX_NOTICES = 16
-"""Notices that are remembered, the newest; and most that are logged at once, then there is one a second."""
+"""Number of notices to remember, the newest; and to log at once, after which there is one a second."""
 
 log = logging.getLogger(__name__)
 
@@ -48,7 +48,7 @@ class PlayStats:
     _told: RareLog = field(default_factory=lambda: RareLog(log, burst=MAX_NOTICES))
 
     def notice(self, text: str) -> None:
-        """Tell the viewer, on the log, unless he has been told."""
+        """Log a warning for the viewer, unless the same was logged before."""
         if text not in self.notices:
             self.notices.append(text)
             self._told.write(logging.WARNING, "notice", "%s", text)

@@ -62,6 +62,17 @@ def check_settings(settings: DataclassInstance) -> None:
         _check_value(f, kind, value)
 
 
+def check_printable(name: str, text: str) -> None:
+    """Raise :class:`ConfigError` for control characters, line breaks and undecodable bytes in setting ``name``."""
+    strange = next((character for character in text if not character.isprintable()), None)
+    if strange is not None:
+        flag = name.replace("_", "-")
+        raise ConfigError(
+            f"{name} has the character U+{ord(strange):04X}, which is not printable; give --{flag} on one line, "
+            "without control characters"
+        )
+
+
 def names_in(text: str, name: str, known: Collection[str]) -> list[str]:
     """The names in ``text``, separated by commas, of setting ``name``. Raises :class:`ConfigError` for unknown ones."""
     names = [word.strip() for word in text.split(",")]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from cags_common.errors import ConfigError
-from cags_common.settings import check_settings, setting
+from cags_common.settings import check_printable, check_settings, setting
 from cags_common.transport.hosts import is_loopback, named
 
 CLIENT, PLAIN = "client", "plain"
@@ -41,12 +41,7 @@ def check_hosts(text: str) -> None:
 
 def check_token(text: str) -> None:
     """Raise :class:`ConfigError` for a list of tokens of which one is empty, or that no client can show."""
-    strange = next((c for c in text if not c.isprintable()), None)
-    if strange is not None:
-        raise ConfigError(
-            f"token has the character U+{ord(strange):04X}, which cannot be printed; give --token on one line, without "
-            "control characters"
-        )
+    check_printable("token", text)
     if text and not all(part.strip() for part in text.split(",")):
         raise ConfigError("token has an empty part, which would let everybody in; separate tokens by one comma")
 

@@ -70,7 +70,7 @@ def _run(argv: Sequence[str]) -> int:
 
 
 def _check_packets(arguments: argparse.Namespace) -> None:
-    """Refuse what is of the proxy only. Raises :class:`ConfigError`."""
+    """Refuse options that only the proxy has. Raises :class:`ConfigError`."""
     flags = [name for name in given_flags(arguments, ShaperSettings) if name in ("listen", "to")]
     if flags := [*flags, *(["json"] if arguments.json else [])]:
         raise ConfigError(

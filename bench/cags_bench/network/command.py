@@ -120,8 +120,10 @@ def _check(settings: NetworkSettings) -> None:
     if parts & PLAYS:
         check_walks([settings.poses])
         restore.check_name(settings.restore)
-        check_scenes([settings.scene] if parts & (PLAYS - {"first"}) else [])
-        check_scenes([settings.first_scene] if "first" in parts else [])
+        if parts & (PLAYS - {"first"}):
+            check_scenes([settings.scene])
+        if "first" in parts:
+            check_scenes([settings.first_scene])
         if settings.lpips:
             Lpips(settings.lpips)
     if "content" in parts:

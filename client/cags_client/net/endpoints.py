@@ -13,6 +13,7 @@ from urllib.parse import urlencode, urlsplit
 
 from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, Manifest
 from cags_common.errors import ConfigError, NetworkError
+from cags_common.settings import check_printable
 from cags_common.transport import Transport, websocket
 from cags_protocol.wire.limits import MAX_MESSAGE_BYTES, MAX_TEXT_BYTES, SUBPROTOCOL
 
@@ -48,12 +49,7 @@ def _is_stream_address(text: str) -> bool:
 
 def check_token(token: str) -> None:
     """Raise :class:`ConfigError` for a token that no server can have, or that a header or a Hello cannot hold."""
-    strange = next((c for c in token if not c.isprintable()), None)
-    if strange is not None:
-        raise ConfigError(
-            f"token has the character U+{ord(strange):04X}, which cannot be printed; give --token on one line, without "
-            "control characters"
-        )
+    check_printable("token", token)
     if len(token.encode()) > MAX_TEXT_BYTES:
         raise ConfigError(f"token is longer than {MAX_TEXT_BYTES} bytes; give the server's with --token")
 

@@ -86,7 +86,7 @@ class BundleWriter:
         """
         complete = replace(manifest, gofs=tuple(self._gofs))
         text = complete.to_json()
-        Manifest.from_json(text)
+        Manifest.from_json(text)  # as readers will
         with self.open_file(MANIFEST_NAME) as file:
             file.write(text)
         self._place.finish()

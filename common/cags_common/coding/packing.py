@@ -154,14 +154,13 @@ def decode_ids(
 
     Raises :class:`DecodeError`, of another number before anything is inflated.
     """
-    claimed = _IDS_HEADER.unpack_from(data)[0] if len(data) >= _IDS_HEADER.size else 0
-    if expected is not None and claimed != expected:
-        raise DecodeError(f"{what}: claims {claimed} ids for {expected} splats")
+    if 0 < len(data) < _IDS_HEADER.size:
+        raise DecodeError(f"{what}: {len(data)} bytes are too few for an id list")
+    count, first = _IDS_HEADER.unpack_from(data) if len(data) else (0, 0)
+    if expected is not None and count != expected:
+        raise DecodeError(f"{what}: claims {count} ids for {expected} splats")
     if len(data) == 0:
         return np.zeros(0, np.int32)
-    if len(data) < _IDS_HEADER.size:
-        raise DecodeError(f"{what}: {len(data)} bytes are too few for an id list")
-    count, first = _IDS_HEADER.unpack_from(data)
     if not 0 < count <= limit or first < 0:
         raise DecodeError(f"{what}: claims {count} ids from {first}; at most {limit} ids from 0 are allowed")
     raw = gunzip_bounded(memoryview(data)[_IDS_HEADER.size :], 4 * (count - 1), what)

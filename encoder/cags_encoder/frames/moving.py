@@ -294,17 +294,17 @@ class MovingGroups:
         coming, axes, told = Coming(true, ids, self._trails.later(frame)), self._axes[ids], dict(true.arrays())
         held = dict(self._held.take(ids).arrays())
         lengths = {column: np.full(len(ids), AT_ONCE, np.uint8) for column in RAMP_COLUMNS}
+        opacity, all_at_once = drawn(true.logit_opacities), np.zeros(len(ids), bool)
 
         def choose(column: str, rows: NDArray[np.intp], ramps: Sequence[int]) -> tuple[F32, NDArray[np.uint8]]:
             now, frames = getattr(true, column)[rows], coming.frames(column, rows)
             begins = self._ramps[column].ends(ids[rows], held[column][rows])
             if column == "log_scales":  # the decoder's copy lists axes in the order of the looks
                 begins = np.take_along_axis(begins, np.argsort(axes[rows], axis=1), axis=1)
-            before, seen = Held(begins, self._noise[column][ids[rows]]), (EFFECTS[column], drawn_now[rows])
+            before, seen = Held(begins, self._noise[column][ids[rows]]), (EFFECTS[column], opacity[rows])
             return segment(before, now, frames, seen, limits[column][rows], ramps=ramps)
 
-        drawn_now, all_at_once = drawn(true.logit_opacities), np.zeros(len(ids), bool)
-        for name, column in COLUMNS.items():  # scales first
+        for name, column in COLUMNS.items():  # scales first: they decide whether there are ramps
             rows = np.flatnonzero(over[name] & ~all_at_once)
             told[column] = told[column].copy()
             told[column][rows], lengths[column][rows] = choose(column, rows, RAMPS)

@@ -150,8 +150,10 @@ class FrameJob:
 
     def _together(self, scene: RasterScene, options: RenderOptions) -> DrawnViews | None:
         """Truth and mirror, drawn and compared in one go by scenes that can; None: one after the other."""
-        held = self._held() if isinstance(scene, ComparingScene) else None
-        if held is None or not isinstance(scene, ComparingScene):
+        if not isinstance(scene, ComparingScene):
+            return None
+        held = self._held()
+        if held is None:
             return None
         return scene.compared(held, self.camera, options, knee=self.coder.knee, looks=self.coder.looks)
 

@@ -141,8 +141,8 @@ class TileSender:
         """The viewer jumps to ``frame``: a client that keeps the group of frames on display still holds it. That group
         is the one entered last, or the one before.
         """
-        groups = self._library.manifest.gof_of(frame), self._group
-        if self.client_keeps and groups[1] is not None and groups[1] - 1 <= groups[0] <= groups[1]:
+        group, entered = self._library.manifest.gof_of(frame), self._group
+        if self.client_keeps and entered is not None and entered - 1 <= group <= entered:
             self.ended = None
         else:
             self.start_anew()

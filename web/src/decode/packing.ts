@@ -35,15 +35,13 @@ export function unpackInto(packed: PackedCodes, codes: Uint32Array): void {
  * number before anything is inflated.
  */
 export function decodeIds(data: Uint8Array, what: string, limit = MAX_SPLATS, expected?: number): Int32Array {
-  const claimed = data.length < 8 ? 0 : new DataView(data.buffer, data.byteOffset, 8).getUint32(0, true);
-  if (expected !== undefined && claimed !== expected) {
-    throw new DecodeError(`${what}: claims ${claimed} ids for ${expected} splats`);
+  if (data.length > 0 && data.length < 8) throw new DecodeError(`${what}: ${data.length} bytes are too few for an id list`);
+  const view = new DataView(data.buffer, data.byteOffset, data.length);
+  const [count, first] = data.length ? [view.getUint32(0, true), view.getInt32(4, true)] : [0, 0];
+  if (expected !== undefined && count !== expected) {
+    throw new DecodeError(`${what}: claims ${count} ids for ${expected} splats`);
   }
   if (!data.length) return new Int32Array(0);
-  if (data.length < 8) throw new DecodeError(`${what}: ${data.length} bytes are too few for an id list`);
-  const view = new DataView(data.buffer, data.byteOffset, 8);
-  const count = view.getUint32(0, true);
-  const first = view.getInt32(4, true);
   if (!(count > 0 && count <= limit) || first < 0) {
     throw new DecodeError(`${what}: claims ${count} ids from ${first}; at most ${limit} ids from 0 are allowed`);
   }

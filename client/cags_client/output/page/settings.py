@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from cags_common.errors import ConfigError
-from cags_common.settings import check_settings, setting
+from cags_common.settings import check_printable, check_settings, setting
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,4 @@ class ViewSettings:
 
     def __post_init__(self) -> None:
         check_settings(self)
-        if not self.view_token.isprintable():  # bytes that are no text come from a shell as halves of surrogates
-            raise ConfigError(
-                f"view_token = {self.view_token!r} must be of printable characters: a page sends it as text"
-            )
+        check_printable("view_token", self.view_token)

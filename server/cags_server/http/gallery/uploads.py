@@ -144,7 +144,7 @@ class Uploads:
         file = place / f"{scene_name(name[: -len(suffix)])}{suffix}"
         receiving = self._work = asyncio.create_task(self._receive(request, file))
         try:
-            await self._come(receiving)
+            await self._awaited(receiving)
         except BaseException as error:
             if self._work is receiving:  # else `end` tells how it ended
                 self._ended(error)
@@ -153,9 +153,9 @@ class Uploads:
             raise
         self._work = asyncio.create_task(self._run(place, _title(name[: -len(suffix)])))
 
-    async def _come(self, receiving: asyncio.Task[None]) -> None:
-        """Wait for a file. Raises what :meth:`_receive` does, and :class:`UploadError` for one that :meth:`end` ended,
-        be it in the moment that its last byte came.
+    async def _awaited(self, receiving: asyncio.Task[None]) -> None:
+        """Wait for a file. Raises what :meth:`_receive` does, and :class:`UploadError` if :meth:`end` ended the upload,
+        even if the last byte had just come.
         """
         try:
             await asyncio.wait({receiving})
