@@ -30,9 +30,9 @@ from cags_encoder.motion.tolerance import Tolerances
 from cags_encoder.motion.trails import Trails, Window
 from cags_encoder.settings import EncodeSettings
 from cags_encoder.tiling import CutTile, corners, cut_tiles
-from cags_encoder.tracks.effect import drawn
-from cags_encoder.tracks.lasting import EFFECTS, RAMPS, Coming, Held, segment
-from cags_encoder.tracks.placing import Placed, Told
+from cags_encoder.tracks.effect import drawn, of_axes
+from cags_encoder.tracks.lasting import EFFECTS, RAMPS, Coming, Held, segment, weights_of
+from cags_encoder.tracks.placing import Bound, Placed, Told
 from cags_encoder.tracks.rows import SplatTable
 
 PHASES = 4
@@ -253,23 +253,23 @@ class MovingGroups:
         weight = np.maximum(drawn(held.logit_opacities), drawn(true.logit_opacities))
         wrong = _effects(held, true, np.take_along_axis(true.log_scales, axes, axis=1), weight)
         noise = {name: self._noise[column][ids] for name, column in COLUMNS.items()}
-        over = {name: wrong[name] > noise[name] + told.wrong[column] for name, column in COLUMNS.items()}
+        over = {name: wrong[name] > noise[name] + told.bounds[column].wrong for name, column in COLUMNS.items()}
         dim = np.abs(drawn(held.logit_opacities) - drawn(true.logit_opacities)) > SHARE * self._threshold
         rows = np.flatnonzero(np.logical_or.reduce([*over.values(), dim & ~self._fading[ids]]))
         if not len(rows):
             return None
-        limits = {column: limit[rows] for column, limit in told.wrong.items()}
+        bounds = {column: bound.take(rows) for column, bound in told.bounds.items()}
         weight, over = weight[rows], {name: mask[rows] for name, mask in over.items()}
-        again = self._segments(ids[rows], true.take(rows), weight, over, limits, frame=frame.index)
+        again = self._segments(ids[rows], true.take(rows), weight, over, bounds, frame=frame.index)
         # Codes list the largest axis first. If their order changed after the looks were sent, updates are wrong.
         now, fresh = again.prepared, again.fresh
         noise = _effects(fresh, now, now.log_scales, weight)
         asked = np.take_along_axis(again.told.log_scales, axes[rows], axis=1)
-        swapped = weight * EFFECTS["log_scales"](np.abs(fresh.log_scales - asked))
-        other_axes = swapped > noise["scale"] + limits["log_scales"]
+        swapped = weight * EFFECTS["log_scales"](of_axes(asked) * np.abs(fresh.log_scales - asked))
+        other_axes = swapped > noise["scale"] + bounds["log_scales"].wrong
         noise["scale"] = np.where(other_axes, noise["scale"], swapped)
         for name, column in COLUMNS.items():
-            again.changed[name] &= wrong[name][rows] > noise[name] + limits[column]
+            again.changed[name] &= wrong[name][rows] > noise[name] + bounds[column].wrong
             self._noise[column][again.ids[again.changed[name]]] = noise[name][again.changed[name]]
         again.whole[:] = again.changed["scale"] & other_axes
         return again
@@ -280,12 +280,12 @@ class MovingGroups:
         true: Splats,
         weight: F64,
         over: dict[str, NDArray[np.bool_]],
-        limits: Mapping[str, F64],
+        bounds: Mapping[str, Bound],
         *,
         frame: int,
     ) -> _Again:
         """What to send of ``ids`` [k], which are ``true`` [k] with opacities ``weight`` [k], where attributes are
-        ``over`` their ``limits``.
+        ``over`` their ``bounds``.
 
         A splat of which a ramp would end with another order of axes would have to be sent whole, and be seen at once as
         it is to be at the ramp's end: it gets no ramp.
@@ -294,26 +294,31 @@ class MovingGroups:
         coming, axes, told = Coming(true, ids, self._trails.later(frame)), self._axes[ids], dict(true.arrays())
         held = dict(self._held.take(ids).arrays())
         lengths = {column: np.full(len(ids), AT_ONCE, np.uint8) for column in RAMP_COLUMNS}
-        opacity, all_at_once = drawn(true.logit_opacities), np.zeros(len(ids), bool)
+        weights, all_at_once = weights_of(true), np.zeros(len(ids), bool)
 
-        def choose(column: str, rows: NDArray[np.intp], ramps: Sequence[int]) -> tuple[F32, NDArray[np.uint8]]:
+        def choose(name: str, rows: NDArray[np.intp], ramps: Sequence[int]) -> None:
+            column = COLUMNS[name]
             now, frames = getattr(true, column)[rows], coming.frames(column, rows)
             begins = self._ramps[column].ends(ids[rows], held[column][rows])
+            moves = (begins != held[column][rows]).any(axis=tuple(range(1, begins.ndim)))
             if column == "log_scales":  # the decoder's copy lists axes in the order of the looks
                 begins = np.take_along_axis(begins, np.argsort(axes[rows], axis=1), axis=1)
-            before, seen = Held(begins, self._noise[column][ids[rows]]), (EFFECTS[column], opacity[rows])
-            return segment(before, now, frames, seen, limits[column][rows], ramps=ramps)
+            before, seen = Held(begins, self._noise[column][ids[rows]]), (EFFECTS[column], weights[column][rows])
+            told[column][rows], lengths[column][rows], pays = segment(
+                before, now, frames, seen, bounds[column].take(rows), ramps=ramps
+            )
+            over[name][rows] = pays | moves  # one on its way would go on to a wrong end
 
         for name, column in COLUMNS.items():  # scales first: they decide whether there are ramps
             rows = np.flatnonzero(over[name] & ~all_at_once)
             told[column] = told[column].copy()
-            told[column][rows], lengths[column][rows] = choose(column, rows, RAMPS)
+            choose(name, rows, RAMPS)
             if column == "log_scales":
                 asked = np.take_along_axis(told[column], axes, axis=1)
-                turned = weight * EFFECTS[column](np.abs(asked + np.sort(-asked, axis=1))) > limits[column]
+                turned = weight * EFFECTS[column](np.abs(asked + np.sort(-asked, axis=1))) > bounds[column].wrong
                 all_at_once = turned & (lengths[column] > AT_ONCE) & self._codec.quantiser.canonical_axes
             rows = np.flatnonzero(over[name] & all_at_once)
-            told[column][rows], lengths[column][rows] = choose(column, rows, ())
+            choose(name, rows, ())
         splats = Splats(**told)
         prepared = self._codec.prepare(splats)
         coded = self._codec.quantise(prepared)
@@ -500,4 +505,6 @@ def _effects(shown: Splats, true: Splats, scales: F32, weight: F64) -> dict[str,
         "sh0": (shown.sh0, true.sh0),
         "sh_rest": (shown.sh_rest, true.sh_rest),
     }
-    return {name: weight * EFFECTS[COLUMNS[name]](np.abs(a - b)) for name, (a, b) in pairs.items()}
+    off = {name: np.abs(a - b) for name, (a, b) in pairs.items()}
+    off["scale"] = of_axes(scales) * off["scale"]
+    return {name: weight * EFFECTS[COLUMNS[name]](differences) for name, differences in off.items()}

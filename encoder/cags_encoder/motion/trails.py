@@ -13,7 +13,7 @@ from cags_common.geometry import F32
 from cags_common.splats import Ids
 from cags_encoder.motion.fades import fit_fades, peaks
 from cags_encoder.tracks.effect import drawn
-from cags_encoder.tracks.lasting import Allowed, lasting, tolerances
+from cags_encoder.tracks.lasting import Allowed, bounds, lasting
 from cags_encoder.tracks.placing import Placed, Told
 
 
@@ -127,7 +127,7 @@ class Trails:
         others = np.flatnonzero(frame.looks & ~frame.births)
         allowed = Allowed(self._wrong, self._ease)
         new = lasting(splats.take(births), ids[births], later, allowed)
-        return replace(frame, told=Told(new, tolerances(splats.take(others), ids[others], later, allowed)))
+        return replace(frame, told=Told(new, bounds(splats.take(others), ids[others], later, allowed)))
 
     def _peaks(self, frame: Placed, births: NDArray[np.intp], last: int) -> F32:
         """Opacity logits [m] of the delta's splats; for those of ``births`` that fade, the largest of their life."""

@@ -41,6 +41,19 @@ def _looks(a: Splats, b: Splats) -> tuple[F64, F64, F64, F64, F64]:
     return shift, scaling, turn, colour, harmonics
 
 
+def of_axes(log_scales: F32) -> F64:
+    """Weights [n, 3] of changes of each of ``log_scales`` [n, 3], natural logarithms of standard deviations: 1 of a
+    splat's two longer axes; of the shortest the root of its length, in lengths of the middle one.
+
+    The shortest axis of a flat splat shows from its edge alone. Of a disc with an axis ``r`` times as long as the
+    others, seen from all directions alike, the drawn area changes by ``sqrt(pi r / 4)`` of a small change of it, in the
+    root mean square.
+    """
+    middle = np.sort(log_scales, axis=1)[:, 1:2].astype(np.float64)
+    weights: F64 = np.exp(np.clip((log_scales - middle) / 2, -30, 0))
+    return weights
+
+
 def drawn(logits: F32) -> F64:
     """Opacities [n], 0 to 1, from their logits."""
     opacities: F64 = 1.0 / (1.0 + np.exp(-np.clip(logits.astype(np.float64), -30, 30)))

@@ -8,7 +8,8 @@ within the tolerance for much longer than any value does.
 
 The number of updates is ``speed / tolerance``, and the squared error grows with the square of the tolerance. An error
 also matters less the larger the looks' own error is. The total cost is smallest where tolerances grow with the cube
-root of speed times the squared error of the looks, times the bytes of an update.
+root of speed times the squared error of the looks, times the bytes of an update. An update is sent if the squared error
+that it saves, over all frames for which it lasts, is worth its bytes.
 """
 
 from __future__ import annotations
@@ -25,15 +26,15 @@ from cags_common.geometry import F32, F64
 from cags_common.splats import SH_C0, Ids, Splats
 from cags_common.tiles.morton import morton_order
 from cags_common.tiles.ramps import AT_ONCE, LONGEST_RAMP, U8
-from cags_encoder.tracks.effect import drawn
-from cags_encoder.tracks.placing import Placed
+from cags_encoder.tracks.effect import drawn, of_axes
+from cags_encoder.tracks.placing import Bound, Placed
 from cags_encoder.tracks.rows import bit_keys
 
 Effect = Callable[[NDArray[Any]], NDArray[Any]]
-"""Visible effect [n] of differences [n, ...] of one attribute of opaque splats."""
+"""Visible effect [n] of absolute differences [n, ...] of one attribute of opaque splats; proportional to them."""
 
 Weighed: TypeAlias = tuple[Effect, F64]
-"""The effect of a difference, and the opacities [n] of the splats."""
+"""The effect of a difference, and weights of differences, of a shape that goes with them (:func:`weights_of`)."""
 
 Seen: TypeAlias = tuple[F32, NDArray[np.bool_]]
 """Values [n, ...] of one attribute in one frame, and which splats [n] are still there."""
@@ -63,6 +64,11 @@ splats lose in size others gain. Random errors of scales change pictures a quart
 such a tolerance for all of its splats *monkey* lost ten decibels.
 """
 
+WORTH = 16.0
+"""Frames for which an error as large as the tolerance has to last before an update pays: where values of a source jump
+for a frame or two and come back, as they do if each frame of it was quantised by itself, they are not followed.
+"""
+
 NOISE_STEPS = 1.5
 """Least ratio of the total variation of noise to its largest step; it excludes single jumps."""
 
@@ -70,6 +76,18 @@ NOISE_STEPS = 1.5
 def ease_of(psnr_db: float | None) -> float:
     """Factor of the tolerances of what changes fast, for looks of this PSNR with every level; None: not measured."""
     return 1.0 if psnr_db is None else 10 ** ((USUAL_DB - psnr_db) / 30)
+
+
+def weights_of(splats: Splats) -> dict[str, F64]:
+    """Column of ``splats`` [n] -> weights of its differences, of shapes that go with them: their opacities and, of
+    scales, what each axis shows.
+    """
+    opacities = drawn(splats.logit_opacities)
+    return {
+        "log_scales": opacities[:, None] * of_axes(splats.log_scales),
+        "sh0": opacities[:, None],
+        "sh_rest": opacities[:, None, None],
+    }
 
 
 @dataclass(frozen=True)
@@ -86,28 +104,29 @@ def lasting(splats: Splats, ids: Ids, later: Sequence[Placed], allowed: Allowed)
     """``splats`` [n] with ``ids`` [n], and scales, colours and harmonics that last: each is the mean over the longest
     run of this frame and the frames ``later`` in which it stays within its tolerance.
     """
-    coming, weight = Coming(splats, ids, later), drawn(splats.logit_opacities)
+    coming, weights = Coming(splats, ids, later), weights_of(splats)
     told = {}
     for name, effect in EFFECTS.items():
         rows, frames = coming.changing(name)
         now = coming.now[name]
-        limit = _limits(now[rows], frames, coming.places(name, rows), (effect, weight[rows]), allowed)
+        limit, _ = _bounds(now[rows], frames, coming.places(name, rows), (effect, weights[name][rows]), allowed)
         told[name] = now.copy()
-        told[name][rows] = _run(now[rows], frames, (effect, weight[rows]), limit)[0]
+        told[name][rows] = _run(now[rows], frames, (effect, weights[name][rows]), limit)[0]
     return replace(splats, **told)
 
 
-def tolerances(splats: Splats, ids: Ids, later: Sequence[Placed], allowed: Allowed) -> dict[str, F64]:
-    """Column of splats -> visible effect [n] of the largest error that each of ``splats`` [n] may have, which have
-    ``ids`` [n], for their changes in the frames ``later``.
+def bounds(splats: Splats, ids: Ids, later: Sequence[Placed], allowed: Allowed) -> dict[str, Bound]:
+    """Column of splats -> from when on it is sent again of ``splats`` [n] with ``ids`` [n], for their changes in the
+    frames ``later``.
     """
-    coming, weight = Coming(splats, ids, later), drawn(splats.logit_opacities)
+    coming, weights = Coming(splats, ids, later), weights_of(splats)
     out = {}
     for name, effect in EFFECTS.items():
         rows, frames = coming.changing(name)
-        out[name] = np.full(len(splats), allowed.effect)
-        now = coming.now[name][rows]
-        out[name][rows] = _limits(now, frames, coming.places(name, rows), (effect, weight[rows]), allowed)
+        wrong, price = np.full(len(splats), allowed.effect), np.ones(len(splats))
+        now, places = coming.now[name][rows], coming.places(name, rows)
+        wrong[rows], price[rows] = _bounds(now, frames, places, (effect, weights[name][rows]), allowed)
+        out[name] = Bound(wrong, WORTH * allowed.effect**2 * price)
     return out
 
 
@@ -159,13 +178,19 @@ def _changes(ids: Ids, later: Sequence[Placed]) -> list[tuple[Splats, NDArray[np
     return found
 
 
-def _limits(now: F32, frames: Sequence[Seen], places: F32 | None, seen: Weighed, allowed: Allowed) -> F64:
-    """Tolerances [m] of values ``now`` [m, ...] that are those of ``frames`` later."""
+def _bounds(now: F32, frames: Sequence[Seen], places: F32 | None, seen: Weighed, allowed: Allowed) -> tuple[F64, F64]:
+    """Tolerances [m] of values ``now`` [m, ...] that are those of ``frames`` later, and prices [m] of their updates,
+    relative to one of a splat that changes by itself.
+    """
     effect, weight = seen
     if allowed.effect <= 0 or not frames:
-        return np.full(len(now), allowed.effect)
-    limit = allowed.effect * _slack(now, frames, effect, weight / allowed.effect, allowed.ease) * _price(now, frames)
-    return limit if places is None else limit / _in_common(frames[-1][0] - now, places)
+        return np.full(len(now), allowed.effect), np.ones(len(now))
+    price = np.full(len(now), _price(now, frames))
+    limit = allowed.effect * _slack(now, frames, effect, weight / allowed.effect, allowed.ease) * np.cbrt(price)
+    if places is None:
+        return limit, price
+    common = _in_common(weight * (frames[-1][0] - now), places)
+    return limit / common, price / np.square(common)
 
 
 def _run(now: F32, frames: Sequence[Seen], seen: Weighed, limit: F64) -> tuple[F32, NDArray[np.intp]]:
@@ -177,7 +202,7 @@ def _run(now: F32, frames: Sequence[Seen], seen: Weighed, limit: F64) -> tuple[F
     count, within = np.ones(len(now), np.intp), limit > 0
     for values, there in frames:
         lower, higher = np.minimum(low, values), np.maximum(high, values)
-        within = within & there & (weight * effect((higher - lower) / 2) <= limit)
+        within = within & there & (effect(weight * (higher - lower) / 2) <= limit)
         if not within.any():
             break
         taken = _as_wide(within, now)
@@ -188,7 +213,7 @@ def _run(now: F32, frames: Sequence[Seen], seen: Weighed, limit: F64) -> tuple[F
         )
         count += within
     mean = total / _as_wide(count, now)
-    fits = (weight * effect(np.maximum(high - mean, mean - low)) <= limit) | (count == 1)
+    fits = (effect(weight * np.maximum(high - mean, mean - low)) <= limit) | (count == 1)
     return np.where(_as_wide(fits, now), mean, (low + high) / 2).astype(np.float32), count
 
 
@@ -202,16 +227,18 @@ class Held:
 
 
 def segment(
-    held: Held, now: F32, frames: Sequence[Seen], seen: Weighed, limit: F64, *, ramps: Sequence[int] = RAMPS
-) -> tuple[F32, U8]:
+    held: Held, now: F32, frames: Sequence[Seen], seen: Weighed, bound: Bound, *, ramps: Sequence[int] = RAMPS
+) -> tuple[F32, U8, NDArray[np.bool_]]:
     """The value [m, ...] to send in place of the one ``held``, and in how many frames [m] it is reached, at once or in
-    one of ``ramps``, so that the attribute stays within ``limit`` [m] of its values ``now`` and in the ``frames`` after
-    it for longest. The error of the quantised value that a ramp leaves comes on top, and falls to zero with it.
+    one of ``ramps``, so that the attribute stays within its ``bound`` [m] of its values ``now`` and in the ``frames``
+    after it for longest; and whether [m] that pays. The error of the quantised value that a ramp leaves comes on top,
+    and falls to zero with it.
 
     Slopes of ramps are those of the line through the held value with the least squared error. Longer ramps are tried
     where the next shorter one fits.
     """
     effect, weight = seen
+    limit = bound.wrong
     value, lasts = _run(now, frames, seen, limit)
     length = np.full(len(now), AT_ONCE, np.uint8)
     coming = [(now, np.ones(len(now), bool)), *frames]
@@ -225,8 +252,8 @@ def segment(
         slope = sum(step * gone for step, gone in zip(steps, way[:frame_count], strict=True)) / np.square(steps).sum()
         fitting = np.ones(len(rows), bool)
         for step, gone in zip(steps, way[:frame_count], strict=True):
-            bound = limit[rows] + held.noise[rows] * (1 - step / frame_count)
-            fitting &= _within(step * slope - gone, here, bound)
+            farthest = limit[rows] + held.noise[rows] * (1 - step / frame_count)
+            fitting &= _within(step * slope - gone, here, farthest)
         reach, stays = np.where(fitting, frame_count, 0), fitting.copy()
         for gone, (_, there) in zip(way[frame_count:], coming[frame_count:], strict=True):
             stays &= there[rows] & _within(frame_count * slope - gone, here, limit[rows])
@@ -237,12 +264,26 @@ def segment(
         lasts[chosen], length[chosen] = reach[better], frame_count
         fits[:] = False
         fits[rows[fitting]] = True
-    return value, length
+    return value, length, _saved(held.values, (value, length, lasts), coming, seen) >= bound.worth
+
+
+def _saved(held: F32, sent: tuple[F32, U8, NDArray[np.intp]], coming: Sequence[Seen], seen: Weighed) -> F64:
+    """Squared visible errors [m] of values ``held`` [m, ...], less those of values ``sent`` in their place, over the
+    frames ``coming`` for which these last.
+    """
+    effect, weight = seen
+    value, length, lasts = sent
+    saved = np.zeros(len(held))
+    for step, (values, _) in enumerate(coming[: int(lasts.max(initial=0))], start=1):
+        shown = held + (value - held) * _as_wide(np.minimum(step / length, 1.0), held)
+        old, new = (effect(weight * np.abs(copy - values)) for copy in (held, shown))
+        saved += np.where(step <= lasts, np.square(old) - np.square(new), 0.0)
+    return saved
 
 
 def _within(off: NDArray[Any], seen: Weighed, limit: F64) -> NDArray[np.bool_]:
     effect, weight = seen
-    out: NDArray[np.bool_] = weight * effect(np.abs(off)) <= limit
+    out: NDArray[np.bool_] = effect(weight * np.abs(off)) <= limit
     return out
 
 
@@ -258,9 +299,9 @@ def _slack(now: F32, frames: Sequence[Seen], effect: Effect, weight: F64, ease: 
     gone, bent, largest, again, frames_there = (np.zeros(len(now)) for _ in range(5))
     for values, there in frames:
         step = values - before
-        size = np.where(there, weight * effect(np.abs(step)), 0.0)
+        size = np.where(there, effect(weight * np.abs(step)), 0.0)
         gone, largest = gone + size, np.maximum(largest, size)
-        bent += np.where(there, weight * effect(np.abs(step - change)), 0.0)
+        bent += np.where(there, effect(weight * np.abs(step - change)), 0.0)
         repeated = np.sum((values == before) | (values == earlier), axis=tuple(range(1, now.ndim))) / wide
         again, frames_there = again + np.where(there, repeated, 0.0), frames_there + there
         before, earlier, change = values, before, step
@@ -270,15 +311,15 @@ def _slack(now: F32, frames: Sequence[Seen], effect: Effect, weight: F64, ease: 
 
 
 def _price(now: F32, frames: Sequence[Seen]) -> float:
-    """Factor of tolerances for values ``now`` [m, ...] of which many are equal, and change alike: the same codes take
-    few bytes. With the information in a change, its entropy, the best tolerance falls by its cube root.
+    """Price of updates of values ``now`` [m, ...], relative to splats that all differ: where many are equal and change
+    alike, the same codes take few bytes. It is the information in a change, its entropy.
     """
     if len(now) < 2:
         return 1.0
     both = np.concatenate([values.reshape(len(now), -1) for values in (now, frames[-1][0])], axis=1)
     shares = np.unique(bit_keys(both), return_counts=True)[1] / len(now)
     entropy = -float(np.sum(shares * np.log2(shares)))
-    return float(np.cbrt((1 + entropy) / (1 + np.log2(len(now)))))
+    return float((1 + entropy) / (1 + np.log2(len(now))))
 
 
 def _in_common(change: F32, places: F32) -> F64:

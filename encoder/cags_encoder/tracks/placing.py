@@ -25,13 +25,27 @@ LOOKS = ("log_scales", "logit_opacities", "sh0", "sh_rest")
 
 
 @dataclass(frozen=True, eq=False)
+class Bound:
+    """When one attribute of splats [n] is sent again."""
+
+    wrong: F64
+    """[n] visible effect of the largest error of the decoder's copy without an update."""
+    worth: F64
+    """[n] squared visible error, summed over the frames for which an update lasts, that it has to save."""
+
+    def take(self, rows: NDArray[np.intp]) -> Bound:
+        """The bounds of ``rows`` [m]."""
+        return Bound(self.wrong[rows], self.worth[rows])
+
+
+@dataclass(frozen=True, eq=False)
 class Told:
     """What is coded of the new splats [b] of a frame, and how exactly others [n] have to look that look different."""
 
     splats: Splats
     """[b] with the largest opacity of what fades, and looks that last."""
-    wrong: Mapping[str, F64]
-    """Column of splats -> visible effect [n] of the largest error of the decoder's copy without an update."""
+    bounds: Mapping[str, Bound]
+    """Column of splats -> from when on it is sent again."""
 
 
 @dataclass(frozen=True, eq=False)

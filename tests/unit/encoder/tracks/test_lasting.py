@@ -18,15 +18,16 @@ from cags_encoder.tracks.lasting import (
     FASTER,
     RAMPS,
     USUAL_DB,
+    WORTH,
     Allowed,
     Coming,
     Held,
+    bounds,
     ease_of,
     lasting,
     segment,
-    tolerances,
 )
-from cags_encoder.tracks.placing import Placed, Told
+from cags_encoder.tracks.placing import Bound, Placed, Told
 
 N, MOST = 6, 0.01
 OPAQUE = 30.0
@@ -62,7 +63,7 @@ def frames(of: Sequence[Splats], removed: Sequence[Sequence[int]] | None = None)
 def told_of(now: Splats, ids: np.ndarray, later: Sequence[Placed], most: float, ease: float = 1.0) -> Told:
     """What lasts, and how far off it may be."""
     allowed = Allowed(most, ease)
-    return Told(lasting(now, ids, later, allowed), tolerances(now, ids, later, allowed))
+    return Told(lasting(now, ids, later, allowed), bounds(now, ids, later, allowed))
 
 
 def grey(effect: float | np.ndarray) -> np.ndarray:
@@ -73,7 +74,7 @@ def grey(effect: float | np.ndarray) -> np.ndarray:
 def test_what_drifts_is_told_as_the_middle_of_what_it_will_be() -> None:
     steps = [0.002 * at for at in range(20)]
     told = told_of(splats(grey(0)), np.arange(N), frames([splats(grey(step)) for step in steps[1:]]), MOST)
-    tolerance = told.wrong["sh0"]
+    tolerance = told.bounds["sh0"].wrong
     assert np.all(tolerance > MOST)
     lasts = sum(step <= 2 * tolerance[0] + 1e-9 for step in steps)
     assert np.allclose(told.splats.sh0, grey(np.mean(steps[:lasts])), atol=1e-6)
@@ -83,12 +84,12 @@ def test_what_drifts_is_told_as_the_middle_of_what_it_will_be() -> None:
 def test_what_changes_fast_is_told_more_exactly_the_better_the_looks_are() -> None:
     fast = frames([splats(grey(0.05 * at)) for at in range(1, 20)])
     wrong = [
-        told_of(splats(grey(0)), np.arange(N), fast, MOST, ease_of(psnr_db)).wrong["sh0"][0]
+        told_of(splats(grey(0)), np.arange(N), fast, MOST, ease_of(psnr_db)).bounds["sh0"].wrong[0]
         for psnr_db in (40, USUAL_DB, 56, 80, 90)
     ]
     assert wrong[0] == pytest.approx(FASTER * MOST)
     assert wrong[0] > wrong[1] > wrong[2] > wrong[3] == wrong[4] == MOST
-    unmeasured = told_of(splats(grey(0)), np.arange(N), fast, MOST, ease_of(None)).wrong["sh0"][0]
+    unmeasured = told_of(splats(grey(0)), np.arange(N), fast, MOST, ease_of(None)).bounds["sh0"].wrong[0]
     assert unmeasured == wrong[1]
 
 
@@ -99,8 +100,8 @@ def test_sizes_that_change_alone_may_be_further_off_than_those_that_change_toget
     for name, step in {"together": np.ones((N, 3)), "alone": alone, "one": np.eye(N)[:, :1] * np.ones(3)}.items():
         later = frames([splats(grey(0), log_scales=SIZES + MOST * step)])
         told = told_of(splats(grey(0), log_scales=SIZES), np.arange(N), later, MOST)
-        wrong[name] = told.wrong["log_scales"]
-        assert np.all(told.wrong["sh0"] == MOST), "colours count as before"
+        wrong[name] = told.bounds["log_scales"].wrong
+        assert np.all(told.bounds["sh0"].wrong == MOST), "colours count as before"
     assert np.allclose(wrong["together"], MOST)
     assert np.all((wrong["alone"] > MOST) & (wrong["alone"] <= MOST / ALONE * FASTER))
     assert wrong["one"][0] == pytest.approx(MOST / ALONE)
@@ -116,14 +117,14 @@ def test_noise_is_told_as_its_mean() -> None:
 def test_noise_beyond_the_tolerance_is_told_once_and_a_trend_is_followed() -> None:
     noise = 1.5 * MOST * np.random.default_rng(2).choice([-1.0, 1.0], (16, N))
     told = told_of(splats(grey(noise[0])), np.arange(N), frames([splats(grey(row)) for row in noise[1:]]), MOST)
-    assert np.allclose(told.wrong["sh0"], FASTER * MOST)
+    assert np.allclose(told.bounds["sh0"].wrong, FASTER * MOST)
     assert np.allclose(told.splats.sh0, grey(noise.mean(axis=0)), atol=1e-6)
     alive = 1.5 * MOST * np.random.default_rng(3).uniform(-1, 1, (16, N))
     told = told_of(splats(grey(alive[0])), np.arange(N), frames([splats(grey(row)) for row in alive[1:]]), MOST)
-    assert np.all(told.wrong["sh0"] < 3 * MOST), "no value comes twice: a source that shakes is followed"
+    assert np.all(told.bounds["sh0"].wrong < 3 * MOST), "no value comes twice: a source that shakes is followed"
     trend = 0.6 * MOST * np.arange(16)[:, None] * np.ones(N)
     told = told_of(splats(grey(trend[0])), np.arange(N), frames([splats(grey(row)) for row in trend[1:]]), MOST)
-    assert np.all(told.wrong["sh0"] < 2 * MOST)
+    assert np.all(told.bounds["sh0"].wrong < 2 * MOST)
 
 
 def test_what_stays_keeps_its_bits_and_a_jump_ends_what_lasts() -> None:
@@ -131,14 +132,14 @@ def test_what_stays_keeps_its_bits_and_a_jump_ends_what_lasts() -> None:
     after = splats(np.where(stays[:, None], grey(0.3), grey(0.9)))
     told = told_of(splats(grey(0.3)), np.arange(N), frames([after] * 4), MOST)
     assert np.array_equal(told.splats.sh0, np.float32(grey(0.3)))
-    assert np.all(told.wrong["sh0"][stays] == MOST) and np.all(told.wrong["sh0"][~stays] > MOST)
+    assert np.all(told.bounds["sh0"].wrong[stays] == MOST) and np.all(told.bounds["sh0"].wrong[~stays] > MOST)
 
 
 def test_tolerances_grow_with_the_cube_root_of_the_speed_up_to_a_bound() -> None:
     speed = MOST * np.array([0.5, 2, 16, 54, 128, 1e5])
     told = told_of(splats(grey(0)), np.arange(N), frames([splats(grey(speed))]), MOST)
     wanted = np.clip(np.cbrt(speed / MOST / 2), 1, FASTER)
-    assert np.allclose(told.wrong["sh0"], MOST * wanted)
+    assert np.allclose(told.bounds["sh0"].wrong, MOST * wanted)
 
 
 @pytest.mark.parametrize("column", ["log_scales", "sh_rest"])
@@ -179,42 +180,71 @@ def test_without_a_tolerance_the_present_values_are_told() -> None:
     drift = [splats(grey(0.002 * at)) for at in range(4)]
     told = told_of(drift[0], np.arange(N), frames(drift[1:]), 0.0)
     assert np.array_equal(told.splats.sh0, drift[0].sh0)
-    assert all(not wrong.any() for wrong in told.wrong.values())
+    assert all(not bound.wrong.any() for bound in told.bounds.values())
 
 
 def segments(
     held: float | np.ndarray, values: Sequence[float | np.ndarray], limit: float = MOST, noise: float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
-    """Effects [N] of the values to send, and in how many frames they are reached, for the ``values`` of each frame."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Effects [N] of the values to send, in how many frames they are reached and whether that pays, for the ``values``
+    of each frame.
+    """
     course = [splats(grey(value)) for value in values]
     coming = Coming(course[0], np.arange(N), frames(course[1:]))
     before = Held(np.float32(grey(held)), np.full(N, noise))
-    seen = (EFFECTS["sh0"], np.ones(N))
-    sent, lengths = segment(before, course[0].sh0, coming.frames("sh0", np.arange(N)), seen, np.full(N, limit))
-    return SH_C0 * sent[:, 0], lengths
+    seen = (EFFECTS["sh0"], np.ones((N, 1)))
+    bound = Bound(np.full(N, limit), np.full(N, WORTH * limit**2))
+    sent, lengths, pays = segment(before, course[0].sh0, coming.frames("sh0", np.arange(N)), seen, bound)
+    return SH_C0 * sent[:, 0], lengths, pays
 
 
 def test_what_is_the_same_for_all_is_told_more_exactly() -> None:
     step = 20 * MOST / SH_C0
-    apart = told_of(splats(grey(0)), np.arange(N), frames([splats(grey(0) + step)]), MOST).wrong["sh0"]
-    alike = told_of(splats(grey(0) - HUES), np.arange(N), frames([splats(grey(0) - HUES + step)]), MOST).wrong["sh0"]
+    apart = told_of(splats(grey(0)), np.arange(N), frames([splats(grey(0) + step)]), MOST).bounds["sh0"].wrong
+    alike = (
+        told_of(splats(grey(0) - HUES), np.arange(N), frames([splats(grey(0) - HUES + step)]), MOST).bounds["sh0"].wrong
+    )
     assert np.allclose(alike, apart * np.cbrt(1 / (1 + np.log2(N))))
 
 
 def test_a_drift_is_sent_once_as_a_ramp() -> None:
-    sent, lengths = segments(0.0, [0.02 * (at + 1) for at in range(16)])
+    sent, lengths, _ = segments(0.0, [0.02 * (at + 1) for at in range(16)])
     assert np.all(lengths == 16)
     assert np.allclose(sent, 0.32, atol=1e-6)
 
 
 def test_a_jump_is_shown_at_once() -> None:
-    sent, lengths = segments(0.0, [0.5] * 16)
+    sent, lengths, _ = segments(0.0, [0.5] * 16)
     assert np.all(lengths == 1)
     assert np.allclose(sent, 0.5, atol=1e-6)
 
 
+def test_a_short_jump_is_not_followed_and_a_long_or_large_one_is() -> None:
+    for step, frames_long, follows in [(2, 1, False), (2.5, 4, True), (5, 1, True), (3, 1, False), (3, 2, True)]:
+        course = [step * MOST] * frames_long + [0.0] * (16 - frames_long)
+        assert np.all(segments(0.0, course)[2] == follows), (step, frames_long)
+
+
+def test_a_drift_pays() -> None:
+    assert segments(0.0, [1.1 * MOST + 0.2 * MOST * at for at in range(16)])[2].all()
+
+
+def test_the_thickness_of_a_flat_splat_may_be_further_off_than_its_width() -> None:
+    flat, change = np.log([0.1, 0.1, 0.001]) + np.arange(N)[:, None], 4 * MOST
+    wrong = []
+    for axis in (0, 2):
+        later = flat.copy()
+        later[:, axis] += change
+        told = told_of(
+            splats(grey(0), log_scales=flat), np.arange(N), frames([splats(grey(0), log_scales=later)]), MOST
+        )
+        wrong.append(np.abs(told.splats.log_scales - flat)[:, axis].max())
+    assert wrong[0] == pytest.approx(0, abs=1e-6), "beyond the tolerance: the present value"
+    assert wrong[1] == pytest.approx(change / 2, rel=1e-3), "within it: the mean"
+
+
 def test_a_ramp_ends_where_the_drift_does() -> None:
-    _, lengths = segments(0.0, [min(0.02 * (at + 1), 0.12) for at in range(16)])
+    _, lengths, _ = segments(0.0, [min(0.02 * (at + 1), 0.12) for at in range(16)])
     assert np.all(lengths == 6)
 
 
@@ -232,7 +262,7 @@ def test_a_ramp_may_keep_the_error_that_quantisation_left() -> None:
 def test_whatever_is_sent_is_within_its_tolerance_for_as_long_as_it_is_said_to_be(
     course: np.ndarray, held: np.ndarray, limit: float
 ) -> None:
-    sent, lengths = segments(held, list(course), limit)
+    sent, lengths, _ = segments(held, list(course), limit)
     assert set(lengths.tolist()) <= {1, *RAMPS}
     for row, length in enumerate(lengths.tolist()):
         for step in range(1, length + 1):
