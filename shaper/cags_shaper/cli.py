@@ -48,7 +48,7 @@ def _run(argv: Sequence[str]) -> int:
     if bool(arguments.command) != settings.tun:
         raise ConfigError("--tun and a COMMAND go together: cags-shaper --tun --trace FILE -- COMMAND")
     if settings.tun:
-        _check_packets(arguments)
+        _check_packets(arguments, settings)
     if arguments.command and shutil.which(arguments.command[0]) is None:
         raise ConfigError(f"COMMAND {arguments.command[0]!r} is no program here; give one that the shell would find")
     from cags_shaper.trace import open_trace
@@ -69,9 +69,10 @@ def _run(argv: Sequence[str]) -> int:
     return 0
 
 
-def _check_packets(arguments: argparse.Namespace) -> None:
-    """Refuse options that only the proxy has. Raises :class:`ConfigError`."""
-    flags = [name for name in given_flags(arguments, ShaperSettings) if name in ("listen", "to")]
+def _check_packets(arguments: argparse.Namespace, settings: ShaperSettings) -> None:
+    """Refuse options that only the proxy has, wherever they are set. Raises :class:`ConfigError`."""
+    given, usual = given_flags(arguments, ShaperSettings), ShaperSettings()
+    flags = [n for n in ("listen", "to") if n in given or getattr(settings, n) != getattr(usual, n)]
     if flags := [*flags, *(["json"] if arguments.json else [])]:
         raise ConfigError(
             f"--{flags[0]} is of the proxy: with --tun COMMAND connects by itself, to $CAGS_SHAPER_HOST; "

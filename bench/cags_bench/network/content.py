@@ -200,12 +200,13 @@ def freezes(records: list[dict[str, Any]]) -> int:
 
 
 def recovery_ms(records: list[dict[str, Any]], trace: Trace) -> float | None:
-    """Longest time from the end of an outage to the next complete frame; None without an outage."""
-    worst = None
-    for end_us in outage_ends(trace, records[-1]["time_us"] if records else 0):
-        good = next((r["time_us"] for r in records if r["time_us"] >= end_us and not r["missed"]), None)
-        if good is not None:
-            worst = max(worst or 0.0, (good - end_us) / 1e3)
+    """Longest time from the end of an outage to the next complete frame, or to the last frame if none is complete; None
+    without an outage.
+    """
+    last_us, worst = records[-1]["time_us"] if records else 0, None
+    for end_us in outage_ends(trace, last_us):
+        good_us = next((r["time_us"] for r in records if r["time_us"] >= end_us and not r["missed"]), last_us)
+        worst = max(worst or 0.0, (good_us - end_us) / 1e3)
     return worst
 
 

@@ -39,7 +39,10 @@ LOOKS = {DIFFERENCE: frozenset({Look.LACK, Look.COMPANDED}), PICTURE: frozenset(
 """What a reference of a kind is made from."""
 
 INVISIBLE = (0.5 / 255) ** 2
-"""Mean squared difference under which nothing is sent: half a step of a display's 8 bits."""
+"""Mean squared difference, where there is any, under which nothing is sent: half a step of a display's 8 bits."""
+
+NO_DIFFERENCE = (0.02 / 255) ** 2
+"""Mean squared difference of a block in which there is none: what both show is empty, or alike but for rounding."""
 
 QUIET = (0.8 / 255) ** 2
 """Mean squared difference of a block that is left out: coding it would bring as much noise as it takes away."""
@@ -235,7 +238,7 @@ class ReferenceCoder:
             self._change_kind()
         before, self._share = _power(views.lack), None
         if self.compares:
-            if before < INVISIBLE:
+            if before < INVISIBLE * _differing_share(views.lack):
                 return Coded(NOTHING, before=before, after=before)
             if self.kinds[0] is PICTURE and before < self._picture_left:
                 self._change_kind()  # the client's splats alone are better than what a picture would make of them
@@ -391,6 +394,13 @@ def _kinds(settings: ServerSettings, hello: Hello) -> tuple[ReferenceKind, ...]:
 
 def _power(picture: F32) -> float:
     return cv2.norm(picture, cv2.NORM_L2SQR) / picture.size
+
+
+def _differing_share(lack: F32) -> float:
+    """Share of blocks in which anything of ``lack`` [h, w, 3] is: a scene that fills a tenth of the picture may lack no
+    more of its colours than one that fills all of it.
+    """
+    return float((by_block(lack, lack) > NO_DIFFERENCE).mean())
 
 
 def _loud_blocks(lack: F32) -> tuple[NDArray[np.uint8] | None, float]:

@@ -162,6 +162,12 @@ def test_after_a_lost_device_the_visit_goes_on_where_it_was(tmp_path: Path, room
         assert viewer.ask("[player.shown.frame, player.playing, player.loop]") == [7, False, False]
         assert viewer.browser.current_url == address
         assert viewer.ask("sessionStorage.length") == 0
+        viewer.do("window.before = true")
+        viewer.browser.execute_cdp_cmd("Browser.crashGpuProcess", {})
+        viewer.until_true(lambda: "a second time" in viewer.words, "a page that was just loaded anew is not again")
+        assert viewer.ask("window.before")
+        viewer.browser.find_element("id", "again").click()
+        viewer.until("window.cags && !window.before")  # whether there is a device now is up to the browser
 
 
 @pytest.mark.slow

@@ -275,7 +275,18 @@ export class DrawnShow implements Show {
   #lostDevice(reason: string): void {
     this.renderer = null;
     this.#rendering = undefined;
-    this.#host.reload(`The graphics processor was lost${reason && ` (${reason.split("\n")[0]})`}; the page has started again`);
+    const lost = `The graphics processor was lost${reason && ` (${reason.split("\n")[0]})`}`;
+    if (this.#host.reload(`${lost}; the page has started again`)) return;
+    this.#stop("this device: lost");
+    this.#host.failed("The play has ended", `${lost} a second time`);
+  }
+
+  /** Nothing that begins or plays goes on; `why` stands beside the light. */
+  #stop(why: string): void {
+    this.#attempts++;
+    this.immersive?.leave();
+    this.#leave();
+    this.#over = why;
   }
 
   /** The device of `made` did not take what it was given, so nothing that it draws can be believed. Another attempt makes
@@ -283,10 +294,7 @@ export class DrawnShow implements Show {
   #refusedBy(made: Promise<Renderer>, message: string): void {
     if (this.#rendering !== made) return;
     this.#rendering = undefined;
-    this.#attempts++; // what is beginning does not go on
-    this.immersive?.leave();
-    this.#leave();
-    this.#over = "this device: cannot draw";
+    this.#stop("this device: cannot draw");
     void made.then((renderer) => {
       renderer.destroy();
       if (this.renderer === renderer) this.renderer = null;

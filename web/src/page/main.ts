@@ -19,6 +19,8 @@ import type { Angles } from "./view.ts";
 const TELL_MS = 250;
 /** How long it is said why the page was loaded anew. */
 const EXPLAINED_MS = 8000;
+/** A page that is loaded anew for the same reason within this time would do so for ever. */
+const AGAIN_MS = 30_000;
 
 /** Where a client listens that draws for this page; undefined: the page draws itself. */
 const CLIENT = document.querySelector<HTMLMetaElement>('meta[name="cags-client"]')?.content;
@@ -32,6 +34,10 @@ class Viewer implements Host {
   camera: ViewCamera | null = null;
   angles: Angles = { tanX: 1, tanY: 1 };
   place: Place;
+  /** Whether this page was loaded anew by the one before. */
+  readonly #again: boolean;
+  /** Why nothing but a page that is loaded anew can draw. */
+  #lost = "";
   readonly #stage = the("stage");
   readonly #light = the("light");
   readonly #lightText = the("light-text");
@@ -45,8 +51,9 @@ class Viewer implements Host {
 
   constructor() {
     const left = takenUp();
+    this.#again = left !== undefined;
     this.place = left?.place ?? placeOf(location.hash);
-    this.messages = new Messages(() => void this.show.begin(), (token) => {
+    this.messages = new Messages(() => (this.#lost ? this.#reload(this.#lost) : void this.show.begin()), (token) => {
       this.place = { ...this.place, token };
       void this.show.begin();
     });
@@ -153,7 +160,14 @@ class Viewer implements Host {
     this.camera?.home(this.angles.tanX, this.angles.tanY);
   }
 
-  reload(why: string): void {
+  reload(why: string): boolean {
+    this.#lost = why;
+    if (this.#again && performance.now() < AGAIN_MS) return false;
+    this.#reload(why);
+    return true;
+  }
+
+  #reload(why: string): void {
     try {
       leave(sessionStorage, location.href, { place: this.#placeNow(), why });
     } catch {

@@ -74,8 +74,9 @@ export interface Host {
   ready(): void;
   /** Before each refresh of whatever shows the scene. */
   step(nowMs: number): void;
-  /** Load the page anew, and go on from where the play and the camera are; `why` is said then. */
-  reload(why: string): void;
+  /** Load the page anew, and go on from where the play and the camera are; `why` is said then. Not where that has just
+   * been done: the answer is false. */
+  reload(why: string): boolean;
   /** Say why not, here and to a page around this one. */
   failed(headline: string, message: string, way?: "again" | "scenes" | "none"): void;
 }

@@ -68,6 +68,8 @@ def test_outages_and_recovery():
     assert recovery_ms(records, trace) == pytest.approx(300, abs=10)
     assert freezes(records) == 1
     assert recovery_ms(records, open_trace("generated:steady-10")) is None
+    never = [{"time_us": t * 100_000, "missed": t >= 11} for t in range(60)]
+    assert recovery_ms(never, trace) == pytest.approx(1900, abs=10), "at least until the last frame"
 
 
 def test_checks_name_target_and_value():

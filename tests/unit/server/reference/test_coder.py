@@ -79,6 +79,17 @@ def test_nothing_is_sent_where_nothing_is_to_be_seen() -> None:
     assert one.code(later, later * 0.8, idr=True).kind is ReferenceKind.PICTURE
 
 
+def test_a_scene_that_fills_little_of_the_picture_is_corrected_as_one_that_fills_it() -> None:
+    truth = np.zeros_like(moving(1)[0])
+    truth[:16, :16] = 0.5
+    lacking = np.zeros_like(truth)
+    lacking[:16, :16] = 2 * INVISIBLE**0.5
+    assert np.square(lacking).mean() < INVISIBLE, "over the whole picture it would not show"
+    one = coder(replace(SMALL, references="difference"))
+    assert one.code(truth, truth - lacking, idr=True).kind is ReferenceKind.DIFFERENCE
+    assert one.code(truth, truth - lacking / 5, idr=False).kind is ReferenceKind.NOTHING
+
+
 def test_what_is_alike_costs_nothing_and_stays_alike() -> None:
     """Where the client holds the truth, a difference that is needed elsewhere changes nothing."""
     truth, decoder = moving(1)[0], H264Decoder()
