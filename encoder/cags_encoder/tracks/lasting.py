@@ -8,8 +8,8 @@ within the tolerance for much longer than any value does.
 
 The number of updates is ``speed / tolerance``, and the squared error grows with the square of the tolerance. An error
 also matters less the larger the looks' own error is. The total cost is smallest where tolerances grow with the cube
-root of speed times the squared error of the looks, times the bytes of an update. An update is sent if the squared error
-that it saves, over all frames for which it lasts, is worth its bytes.
+root of speed times the squared error of the looks, times the bytes of an update. Where a value jumps and comes back,
+an update is sent if the squared error that it saves, over all frames for which it lasts, is worth its bytes.
 """
 
 from __future__ import annotations
@@ -63,6 +63,9 @@ ALONE, RUN = 0.5, 16
 splats lose in size others gain. Random errors of scales change pictures a quarter as much as those of colours, but with
 such a tolerance for all of its splats *monkey* lost ten decibels.
 """
+
+ALIKE = 0.5
+"""Price up to which the changes of an attribute are those of many splats together."""
 
 WORTH = 16.0
 """Frames for which an error as large as the tolerance has to last before an update pays: where values of a source jump
@@ -123,10 +126,10 @@ def bounds(splats: Splats, ids: Ids, later: Sequence[Placed], allowed: Allowed) 
     out = {}
     for name, effect in EFFECTS.items():
         rows, frames = coming.changing(name)
-        wrong, price = np.full(len(splats), allowed.effect), np.ones(len(splats))
+        wrong, alone = np.full(len(splats), allowed.effect), np.ones(len(splats), bool)
         now, places = coming.now[name][rows], coming.places(name, rows)
-        wrong[rows], price[rows] = _bounds(now, frames, places, (effect, weights[name][rows]), allowed)
-        out[name] = Bound(wrong, WORTH * allowed.effect**2 * price)
+        wrong[rows], alone[rows] = _bounds(now, frames, places, (effect, weights[name][rows]), allowed)
+        out[name] = Bound(wrong, WORTH * allowed.effect**2 * alone)
     return out
 
 
@@ -178,19 +181,22 @@ def _changes(ids: Ids, later: Sequence[Placed]) -> list[tuple[Splats, NDArray[np
     return found
 
 
-def _bounds(now: F32, frames: Sequence[Seen], places: F32 | None, seen: Weighed, allowed: Allowed) -> tuple[F64, F64]:
-    """Tolerances [m] of values ``now`` [m, ...] that are those of ``frames`` later, and prices [m] of their updates,
-    relative to one of a splat that changes by itself.
+def _bounds(
+    now: F32, frames: Sequence[Seen], places: F32 | None, seen: Weighed, allowed: Allowed
+) -> tuple[F64, NDArray[np.bool_]]:
+    """Tolerances [m] of values ``now`` [m, ...] that are those of ``frames`` later, and which of them change by
+    themselves: errors that many splats have in common add up.
     """
     effect, weight = seen
     if allowed.effect <= 0 or not frames:
-        return np.full(len(now), allowed.effect), np.ones(len(now))
-    price = np.full(len(now), _price(now, frames))
+        return np.full(len(now), allowed.effect), np.ones(len(now), bool)
+    price = _price(now, frames)
     limit = allowed.effect * _slack(now, frames, effect, weight / allowed.effect, allowed.ease) * np.cbrt(price)
+    alone = np.full(len(now), price > ALIKE)
     if places is None:
-        return limit, price
+        return limit, alone
     common = _in_common(weight * (frames[-1][0] - now), places)
-    return limit / common, price / np.square(common)
+    return limit / common, alone & (common < (1 + ALONE) / 2)
 
 
 def _run(now: F32, frames: Sequence[Seen], seen: Weighed, limit: F64) -> tuple[F32, NDArray[np.intp]]:
@@ -264,21 +270,24 @@ def segment(
         lasts[chosen], length[chosen] = reach[better], frame_count
         fits[:] = False
         fits[rows[fitting]] = True
-    return value, length, _saved(held.values, (value, length, lasts), coming, seen) >= bound.worth
+    return value, length, _pays(held.values, (value, length, lasts), coming, seen, bound)
 
 
-def _saved(held: F32, sent: tuple[F32, U8, NDArray[np.intp]], coming: Sequence[Seen], seen: Weighed) -> F64:
-    """Squared visible errors [m] of values ``held`` [m, ...], less those of values ``sent`` in their place, over the
-    frames ``coming`` for which these last.
+def _pays(
+    held: F32, sent: tuple[F32, U8, NDArray[np.intp]], coming: Sequence[Seen], seen: Weighed, bound: Bound
+) -> NDArray[np.bool_]:
+    """Whether values ``sent`` [m, ...] in place of ``held`` ones are worth their bytes, by the squared visible errors
+    that they save in the frames ``coming`` for which they last. They always are where the held ones will not do again.
     """
     effect, weight = seen
     value, length, lasts = sent
-    saved = np.zeros(len(held))
-    for step, (values, _) in enumerate(coming[: int(lasts.max(initial=0))], start=1):
+    saved, again = np.zeros(len(held)), np.zeros(len(held), bool)
+    for step, (values, there) in enumerate(coming, start=1):
         shown = held + (value - held) * _as_wide(np.minimum(step / length, 1.0), held)
         old, new = (effect(weight * np.abs(copy - values)) for copy in (held, shown))
         saved += np.where(step <= lasts, np.square(old) - np.square(new), 0.0)
-    return saved
+        again |= there & (old <= bound.wrong)
+    return ~again | (saved >= bound.worth)
 
 
 def _within(off: NDArray[Any], seen: Weighed, limit: F64) -> NDArray[np.bool_]:

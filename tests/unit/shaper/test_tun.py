@@ -107,6 +107,12 @@ def test_wrong_use_is_one_line(capsys, arguments, says):
     assert says in capsys.readouterr().err
 
 
+def test_what_a_settings_file_says_of_the_proxy_is_refused_too(tmp_path, capsys):
+    (tmp_path / "shaper.toml").write_text('to = "10.0.0.1:9000"\n')
+    assert main(["--config", str(tmp_path / "shaper.toml"), "--tun", "--", "true"]) == 2
+    assert "leave out --to" in capsys.readouterr().err
+
+
 def test_without_root_the_reason_is_named(monkeypatch, capsys):
     monkeypatch.setattr(tun.os, "geteuid", lambda: 1000)
     assert main(["--tun", "--", "true"]) == 2
