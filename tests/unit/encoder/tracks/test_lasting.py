@@ -225,6 +225,12 @@ def test_a_short_jump_is_not_followed_and_a_long_or_large_one_is() -> None:
         assert np.all(segments(0.0, course)[2] == follows), (step, frames_long)
 
 
+def test_what_does_not_come_back_is_followed_to_the_end_of_its_group() -> None:
+    """Errors that all splats have in common showed in the frames before the next group."""
+    assert segments(0.0, [1.5 * MOST] * 3)[2].all()
+    assert not segments(0.0, [1.5 * MOST] * 3 + [0.0])[2].any()
+
+
 def test_a_drift_pays() -> None:
     assert segments(0.0, [1.1 * MOST + 0.2 * MOST * at for at in range(16)])[2].all()
 
