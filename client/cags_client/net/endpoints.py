@@ -144,8 +144,8 @@ def _info(url: str, token: str, tls: ssl.SSLContext | None) -> Manifest:
         with _hung_up_after(INFO_TIMEOUT_S, connection.sock, url):
             shown = {"Authorization": f"Bearer {token}".encode()} if token else {}  # as text it would be Latin-1
             connection.request("GET", path, headers=shown)
-            response = connection.getresponse()
-            data = response.read(MAX_MANIFEST_BYTES + 1)
+            with connection.getresponse() as response:  # it may own the socket, and is not at its end
+                data = response.read(MAX_MANIFEST_BYTES + 1)
     except ssl.SSLError as error:
         raise NetworkError(f"{url}: {websocket.tls_fault(error)}") from error
     except http.client.RemoteDisconnected as error:

@@ -238,7 +238,7 @@ class ReferenceCoder:
             self._change_kind()
         before, self._share = _power(views.lack), None
         if self.compares:
-            if before < INVISIBLE * _differing_share(views.lack):
+            if before <= INVISIBLE * _differing_share(views.lack):
                 return Coded(NOTHING, before=before, after=before)
             if self.kinds[0] is PICTURE and before < self._picture_left:
                 self._change_kind()  # the client's splats alone are better than what a picture would make of them
