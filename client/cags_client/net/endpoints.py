@@ -144,7 +144,7 @@ def _info(url: str, token: str, tls: ssl.SSLContext | None) -> Manifest:
         with _hung_up_after(INFO_TIMEOUT_S, connection.sock, url):
             shown = {"Authorization": f"Bearer {token}".encode()} if token else {}  # as text it would be Latin-1
             connection.request("GET", path, headers=shown)
-            with connection.getresponse() as response:  # it may own the socket, and is not at its end
+            with connection.getresponse() as response:  # unread data would keep the socket open
                 data = response.read(MAX_MANIFEST_BYTES + 1)
     except ssl.SSLError as error:
         raise NetworkError(f"{url}: {websocket.tls_fault(error)}") from error

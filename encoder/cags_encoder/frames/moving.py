@@ -300,14 +300,14 @@ class MovingGroups:
             column = COLUMNS[name]
             now, frames = getattr(true, column)[rows], coming.frames(column, rows)
             begins = self._ramps[column].ends(ids[rows], held[column][rows])
-            moves = (begins != held[column][rows]).any(axis=tuple(range(1, begins.ndim)))
+            on_way = (begins != held[column][rows]).any(axis=tuple(range(1, begins.ndim)))
             if column == "log_scales":  # the decoder's copy lists axes in the order of the looks
                 begins = np.take_along_axis(begins, np.argsort(axes[rows], axis=1), axis=1)
             before, seen = Held(begins, self._noise[column][ids[rows]]), (EFFECTS[column], weights[column][rows])
             told[column][rows], lengths[column][rows], pays = segment(
                 before, now, frames, seen, bounds[column].take(rows), ramps=ramps
             )
-            over[name][rows] = pays | moves  # one on its way would go on to a wrong end
+            over[name][rows] = pays | on_way  # a ramp that is not replaced would go on to its own end
 
         for name, column in COLUMNS.items():  # scales first: they decide whether there are ramps
             rows = np.flatnonzero(over[name] & ~all_at_once)

@@ -65,7 +65,7 @@ such a tolerance for all of its splats *monkey* lost ten decibels.
 """
 
 ALIKE = 0.5
-"""Price up to which the changes of an attribute are those of many splats together."""
+"""Largest price (:func:`_price`) at which splats count as changing together and not each by itself."""
 
 WORTH = 16.0
 """Frames for which an error as large as the tolerance has to last before an update pays: where values of a source jump
@@ -119,8 +119,8 @@ def lasting(splats: Splats, ids: Ids, later: Sequence[Placed], allowed: Allowed)
 
 
 def bounds(splats: Splats, ids: Ids, later: Sequence[Placed], allowed: Allowed) -> dict[str, Bound]:
-    """Column of splats -> from when on it is sent again of ``splats`` [n] with ``ids`` [n], for their changes in the
-    frames ``later``.
+    """Column of splats -> how far off it may be in the decoder's copy of ``splats`` [n] with ``ids`` [n], for their
+    changes in the frames ``later``.
     """
     coming, weights = Coming(splats, ids, later), weights_of(splats)
     out = {}
@@ -276,8 +276,9 @@ def segment(
 def _pays(
     held: F32, sent: tuple[F32, U8, NDArray[np.intp]], coming: Sequence[Seen], seen: Weighed, bound: Bound
 ) -> NDArray[np.bool_]:
-    """Whether values ``sent`` [m, ...] in place of ``held`` ones are worth their bytes, by the squared visible errors
-    that they save in the frames ``coming`` for which they last. They always are where the held ones will not do again.
+    """Whether to send values ``sent`` [m, ...] in place of those ``held``: always, unless the held value is within its
+    bound again in one of the frames ``coming``. Then the squared visible errors saved in the frames for which the sent
+    value lasts have to be worth its bytes.
     """
     effect, weight = seen
     value, length, lasts = sent

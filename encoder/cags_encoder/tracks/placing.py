@@ -26,12 +26,14 @@ LOOKS = ("log_scales", "logit_opacities", "sh0", "sh_rest")
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """When one attribute of splats [n] is sent again."""
+    """How far off one attribute of splats [n] may be before it is sent again."""
 
     wrong: F64
     """[n] visible effect of the largest error of the decoder's copy without an update."""
     worth: F64
-    """[n] squared visible error, summed over the frames for which an update lasts, that it has to save."""
+    """[n] squared visible error, summed over the frames for which an update lasts, that an update has to save if the
+    decoder's copy will do again soon.
+    """
 
     def take(self, rows: NDArray[np.intp]) -> Bound:
         """The bounds of ``rows`` [m]."""
@@ -45,7 +47,7 @@ class Told:
     splats: Splats
     """[b] with the largest opacity of what fades, and looks that last."""
     bounds: Mapping[str, Bound]
-    """Column of splats -> from when on it is sent again."""
+    """Column of splats -> how far off it may be before it is sent again."""
 
 
 @dataclass(frozen=True, eq=False)

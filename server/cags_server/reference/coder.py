@@ -39,10 +39,10 @@ LOOKS = {DIFFERENCE: frozenset({Look.LACK, Look.COMPANDED}), PICTURE: frozenset(
 """What a reference of a kind is made from."""
 
 INVISIBLE = (0.5 / 255) ** 2
-"""Mean squared difference, where there is any, under which nothing is sent: half a step of a display's 8 bits."""
+"""Mean squared difference, over blocks that differ at all, up to which nothing is sent: half a step of 8 bits."""
 
 NO_DIFFERENCE = (0.02 / 255) ** 2
-"""Mean squared difference of a block in which there is none: what both show is empty, or alike but for rounding."""
+"""Largest mean squared difference of a block that counts as none: rounding, or nothing is drawn there."""
 
 QUIET = (0.8 / 255) ** 2
 """Mean squared difference of a block that is left out: coding it would bring as much noise as it takes away."""
@@ -397,8 +397,8 @@ def _power(picture: F32) -> float:
 
 
 def _differing_share(lack: F32) -> float:
-    """Share of blocks in which anything of ``lack`` [h, w, 3] is: a scene that fills a tenth of the picture may lack no
-    more of its colours than one that fills all of it.
+    """Share of blocks in which ``lack`` [h, w, 3] is not zero. Means over these treat a scene that fills a tenth of the
+    picture like one that fills all of it.
     """
     return float((by_block(lack, lack) > NO_DIFFERENCE).mean())
 

@@ -281,7 +281,7 @@ export class DrawnShow implements Show {
     this.#host.failed("The play has ended", `${lost} a second time`);
   }
 
-  /** Nothing that begins or plays goes on; `why` stands beside the light. */
+  /** Stop what plays or begins to; `why` stands beside the light. */
   #stop(why: string): void {
     this.#attempts++;
     this.immersive?.leave();

@@ -19,7 +19,7 @@ import type { Angles } from "./view.ts";
 const TELL_MS = 250;
 /** How long it is said why the page was loaded anew. */
 const EXPLAINED_MS = 8000;
-/** A page that is loaded anew for the same reason within this time would do so for ever. */
+/** A page that loses its device within this time of being reloaded is not reloaded again: it might never end. */
 const AGAIN_MS = 30_000;
 
 /** Where a client listens that draws for this page; undefined: the page draws itself. */
@@ -34,9 +34,9 @@ class Viewer implements Host {
   camera: ViewCamera | null = null;
   angles: Angles = { tanX: 1, tanY: 1 };
   place: Place;
-  /** Whether this page was loaded anew by the one before. */
+  /** Whether the page before reloaded itself as this one. */
   readonly #again: boolean;
-  /** Why nothing but a page that is loaded anew can draw. */
+  /** Why only a reloaded page can draw; empty while this one can. */
   #lost = "";
   readonly #stage = the("stage");
   readonly #light = the("light");

@@ -74,8 +74,8 @@ export interface Host {
   ready(): void;
   /** Before each refresh of whatever shows the scene. */
   step(nowMs: number): void;
-  /** Load the page anew, and go on from where the play and the camera are; `why` is said then. Not where that has just
-   * been done: the answer is false. */
+  /** Reload the page, and go on from where the play and the camera are; `why` is said then. Returns false, and does
+   * nothing, if the page was reloaded only just now. */
   reload(why: string): boolean;
   /** Say why not, here and to a page around this one. */
   failed(headline: string, message: string, way?: "again" | "scenes" | "none"): void;
