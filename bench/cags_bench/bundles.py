@@ -158,6 +158,7 @@ def identified(scene: str, frames: int | None, folder: Path) -> FrameSource:
     from cags_encoder import EncodeSettings, content_key
     from cags_encoder.scenes import open_scene
     from cags_encoder.tracks.identity import IdentityTracker
+    from cags_encoder.tracks.looking import Look
 
     source = looped(open_scene(scene), frames)
     if frames == 1 or source.ids(0) is not None:
@@ -167,7 +168,8 @@ def identified(scene: str, frames: int | None, folder: Path) -> FrameSource:
     if not path.exists():
         writable_folder(folder)
         tracker, file = IdentityTracker(), io.BytesIO()
-        found = [tracker.identify(source.frame(at), None, f"{scene}, frame {at}")[0] for at in range(count)]
+        looks = ((f"{scene}, frame {at}", Look(source.frame(at), None)) for at in range(count))
+        found = [frame.ids for frame in tracker.follow(looks)]
         np.savez(file, *found)
         write_whole(path, file.getvalue())
     with np.load(path) as kept:

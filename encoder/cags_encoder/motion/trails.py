@@ -127,7 +127,7 @@ class Trails:
         others = np.flatnonzero(frame.looks & ~frame.births)
         allowed = Allowed(self._wrong, self._ease)
         new = lasting(splats.take(births), ids[births], later, allowed)
-        return replace(frame, told=Told(new, bounds(splats.take(others), ids[others], later, allowed)))
+        return replace(frame, told=Told(new, bounds(splats.take(others), ids[others], later, allowed, frame.rounded)))
 
     def _peaks(self, frame: Placed, births: NDArray[np.intp], last: int) -> F32:
         """Opacity logits [m] of the delta's splats; for those of ``births`` that fade, the largest of their life."""

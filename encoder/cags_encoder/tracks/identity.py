@@ -8,13 +8,20 @@ a new group of frames begins.
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import takewhile
+
 import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.bundle.tracks import TrackStatistics
 from cags_common.errors import SceneError
 from cags_common.splats import Ids, Splats
+from cags_encoder.tracks.hindsight import FRAMES, Linked, corrected
 from cags_encoder.tracks.linking import Looks, Rows, Tracks, alike, link
+from cags_encoder.tracks.looking import Look
 from cags_encoder.tracks.statistics import TrackCounter
 
 MIN_OVERLAP = 0.25
@@ -24,53 +31,93 @@ MIN_ALIKE = 0.8
 """A source's identities are trusted if at least this share of splats is similar to its namesake in the frame before."""
 
 
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """A frame [n] with persistent identities."""
+
+    look: Look
+    ids: NDArray[np.int64]  # [n]
+    continuous: bool
+    """Whether enough of them continue splats of the previous frame."""
+
+
+@dataclass(eq=False)
+class _Frame:
+    """A frame whose links may still be corrected."""
+
+    look: Look
+    known: NDArray[np.int64] | None  # [n] the source's own identities, checked
+    rows: Rows  # [n] the row of the frame before that each row continues, or -1
+    linked: Linked | None
+    """How it was linked; None if the source's identities were taken."""
+
+
 class IdentityTracker:
-    """Assigns persistent identities to the rows of frames, which must come in order."""
+    """Assigns persistent identities to the rows of frames."""
 
     def __init__(self) -> None:
         self._ids: NDArray[np.int64] = np.zeros(0, np.int64)
         self._next = 0
-        self._splats: Splats | None = None
-        self._known: NDArray[np.int64] | None = None
-        self._tracks: Tracks | None = None  # of the last frame, if it was linked
+        self._before: Splats | None = None
         self._counter = TrackCounter()
 
-    def identify(self, splats: Splats, known: Ids | None, source: str) -> tuple[NDArray[np.int64], bool]:
-        """Identities [n] of a frame's rows, and whether enough of them continue splats of the previous frame.
-
-        ``known`` [n] are the source's own identities. ``source`` names the frame in errors. Raises :class:`SceneError`
-        if identities repeat.
+    def follow(self, frames: Iterable[tuple[str, Look]]) -> Iterator[Identified]:
+        """Yield ``frames``, which come in order and with names for errors, when later ones have corrected their links.
+        Raises :class:`SceneError` if identities of the source repeat.
         """
-        given = None if known is None else _checked(known, len(splats), source)
-        rows = self._rows(splats, given)
+        window: deque[_Frame] = deque()  # the last frame that was yielded, and those that wait
+        for name, look in frames:
+            window.append(self._linked(window[-1] if window else None, look, name))
+            if len(window) == 1:
+                yield self._identified(window[0])
+            self._correct(window)
+            if len(window) > FRAMES + 1:
+                window.popleft()
+                yield self._identified(window[0])
+        for frame in list(window)[1:]:
+            yield self._identified(frame)
+
+    def statistics(self) -> TrackStatistics:
+        """Statistics of the tracks so far."""
+        return self._counter.statistics()
+
+    def _identified(self, frame: _Frame) -> Identified:
+        rows = frame.rows
         found = rows >= 0
         ids = np.empty(len(rows), np.int64)
         ids[found] = self._ids[rows[found]]
         fresh = len(rows) - int(found.sum())
         ids[~found] = np.arange(self._next, self._next + fresh)
         self._next += fresh
-        self._counter.add(self._splats, splats, rows)
-        self._ids, self._splats, self._known = ids, splats, given
-        return ids, bool(found.sum() >= MIN_OVERLAP * len(rows))
+        self._counter.add(self._before, frame.look.splats, rows)
+        self._ids, self._before = ids, frame.look.splats
+        return Identified(frame.look, ids, bool(found.sum() >= MIN_OVERLAP * len(rows)))
 
-    def statistics(self) -> TrackStatistics:
-        """Statistics of the tracks so far."""
-        return self._counter.statistics()
+    @staticmethod
+    def _linked(before: _Frame | None, look: Look, name: str) -> _Frame:
+        """``look`` linked to the frame ``before``."""
+        known = None if look.known is None else _checked(look.known, len(look.splats), name)
+        if before is None:
+            return _Frame(look, known, np.full(len(look.splats), -1, np.intp), None)
+        if known is not None and before.known is not None:
+            rows = _rows_of(known, before.known)
+            if alike(before.look.splats, look.splats, rows) >= MIN_ALIKE:
+                return _Frame(look, known, rows, None)
+        if before.linked is None:
+            seen = Looks.of(before.look.splats)
+            before.linked = Linked(seen, before.rows, Tracks.begun(seen))
+        after, tracks = Looks.of(look.splats), before.linked.tracks
+        rows = link(tracks, after)
+        return _Frame(look, known, rows, Linked(after, rows, tracks.continued(after, rows)))
 
-    def _rows(self, splats: Splats, given: NDArray[np.int64] | None) -> Rows:
-        """The row of the previous frame that each row continues, or -1."""
-        if self._splats is None:
-            return np.full(len(splats), -1, np.intp)
-        if given is not None and self._known is not None:
-            rows = _rows_of(given, self._known)
-            if alike(self._splats, splats, rows) >= MIN_ALIKE:
-                self._tracks = None
-                return rows
-        before = self._tracks or Tracks.begun(Looks.of(self._splats))
-        after = Looks.of(splats)
-        rows = link(before, after)
-        self._tracks = before.continued(after, rows)
-        return rows
+    @staticmethod
+    def _correct(window: Sequence[_Frame]) -> None:
+        """Correct the links of the frames of ``window`` after the last whose identities the source knew."""
+        frames = list(takewhile(lambda frame: frame.linked is not None, reversed(window)))[::-1]
+        linked = [frame.linked for frame in frames if frame.linked is not None]
+        if len(linked) > 2 and corrected(linked):
+            for frame, mine in zip(frames[1:], linked[1:], strict=True):
+                frame.rows = mine.rows
 
 
 def _checked(known: Ids, count: int, source: str) -> NDArray[np.int64]:

@@ -15,7 +15,7 @@ an update is sent if the squared error that it saves, over all frames for which 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
@@ -28,6 +28,7 @@ from cags_common.tiles.morton import morton_order
 from cags_common.tiles.ramps import AT_ONCE, LONGEST_RAMP, U8
 from cags_encoder.tracks.effect import drawn, of_axes
 from cags_encoder.tracks.placing import Bound, Placed
+from cags_encoder.tracks.rounding import step_at
 from cags_encoder.tracks.rows import bit_keys
 
 Effect = Callable[[NDArray[Any]], NDArray[Any]]
@@ -118,9 +119,11 @@ def lasting(splats: Splats, ids: Ids, later: Sequence[Placed], allowed: Allowed)
     return replace(splats, **told)
 
 
-def bounds(splats: Splats, ids: Ids, later: Sequence[Placed], allowed: Allowed) -> dict[str, Bound]:
+def bounds(
+    splats: Splats, ids: Ids, later: Sequence[Placed], allowed: Allowed, rounded: Mapping[str, F32]
+) -> dict[str, Bound]:
     """Column of splats -> how far off it may be in the decoder's copy of ``splats`` [n] with ``ids`` [n], for their
-    changes in the frames ``later``.
+    changes in the frames ``later``. The next value of a codebook to which the source has ``rounded`` a column will do.
     """
     coming, weights = Coming(splats, ids, later), weights_of(splats)
     out = {}
@@ -128,7 +131,10 @@ def bounds(splats: Splats, ids: Ids, later: Sequence[Placed], allowed: Allowed) 
         rows, frames = coming.changing(name)
         wrong, alone = np.full(len(splats), allowed.effect), np.ones(len(splats), bool)
         now, places = coming.now[name][rows], coming.places(name, rows)
-        wrong[rows], alone[rows] = _bounds(now, frames, places, (effect, weights[name][rows]), allowed)
+        seen = effect, weights[name][rows]
+        wrong[rows], alone[rows] = _bounds(now, frames, places, seen, allowed)
+        if name in rounded and allowed.effect > 0:
+            wrong[rows] = np.maximum(wrong[rows], effect(seen[1] * step_at(rounded[name], now)))
         out[name] = Bound(wrong, WORTH * allowed.effect**2 * alone)
     return out
 

@@ -26,7 +26,7 @@ from cags_encoder.tracks.rows import identical_rows
 Rows = NDArray[np.intp]
 
 Flow: TypeAlias = Callable[[F64, F64, F64, Rows], F64]
-"""How far splats [m, 3] move by those around them: see :func:`_field_at`."""
+"""How far splats [m, 3] move by those around them: see :func:`field_at`."""
 
 USUAL, STRANGE = 90, 3.0
 """Percentile of the differences in looks of a pair of frames, and the multiple of it above which a link is strange."""
@@ -80,6 +80,9 @@ FLOW_ROUNDS, COMPANIONS, EXPLAINED = 12, 16, 0.05
 and distance from the prediction, as a share of the spacing, up to which a link is explained.
 """
 
+REGION = 64
+"""Number of splats around one whose link is not known that are looked at again with it."""
+
 FIELD_ROUNDS, FIELD_RIDGE, FIELD_HOLDS = 3, 1e-3, 0.5
 """Rounds in which outliers lose their weight in a linear field, share of the weights that holds its slopes at zero
 where points lie on a plane, and factor by which it has to reduce the distances from the median.
@@ -114,6 +117,25 @@ class Looks:
     def order(self) -> Rows:
         """Rows [n] such that neighbours lie together: looking them up in it takes half the time."""
         return morton_order(self.splats.means)
+
+    @cached_property
+    def field(self) -> Field:
+        """Finds those near a place."""
+        return Field(self.means, self.order)
+
+    @cached_property
+    def spacing(self) -> float:
+        """Typical distance between neighbours."""
+        means = self.means[:: max(1, len(self) // SAMPLE)]
+        return float(np.median(self.local(self.field.near(means, CANDIDATES)[0])))
+
+    def local(self, distances: F64) -> F64:
+        """Distances to neighbours [m, 1] from those to the nearest few [m, k]: splats lie on surfaces.
+
+        Where there are but a few they are no measure of each other: they are taken for as dense as can be.
+        """
+        last: F64 = distances[:, -1:] * distances.shape[1] ** -0.5
+        return last if len(self) > CANDIDATES else 0.0 * last
 
     @staticmethod
     def of(splats: Splats) -> Looks:
@@ -189,6 +211,12 @@ class Tracks:
         out[order[groups * COMPANIONS :]] = turning[-1]
         return out
 
+    @cached_property
+    def next_steps(self) -> F64:
+        """By how much each splat is to move next [n, 3]: velocities change again as they did, where that held."""
+        steps: F64 = self.velocities + self.bends * self.turning[:, None]
+        return steps
+
     def predicted(self) -> F64:
         """Where each splat is to be looked for in the next frame [n, 3]."""
         moving = self.ages > 0
@@ -199,9 +227,17 @@ class Tracks:
         return expected
 
 
-def link(before: Tracks, after: Looks) -> Rows:
-    """The row of ``before`` that each splat of ``after`` [n] continues, or -1; no row is given twice."""
-    return _Linking(before, after).run()
+def link(before: Tracks, after: Looks, known: Rows | None = None) -> Rows:
+    """The row of ``before`` that each splat of ``after`` [n] continues, or -1; no row is given twice. Links that are
+    ``known`` [n] need not be searched; -1: unknown.
+    """
+    return _Linking(before, after).run(known)
+
+
+def differences(before: Looks, after: Looks, rows: Rows, others: Rows) -> F64:
+    """How differently ``rows`` [m] of one frame and ``others`` [m] of the next look; 1 is a usual step of sources."""
+    looks: F64 = _Pair(before, after).differences(rows, others[:, None], before.means, 1.0)[1][:, 0]
+    return looks
 
 
 def alike(before: Splats, after: Splats, rows: Rows) -> float:
@@ -251,12 +287,18 @@ class _Linking:
         self.rows: Rows = np.full(len(after), -1, np.intp)
         self._free = np.ones(len(before.looks), bool)
         self._changed = np.ones(len(after), bool)
+        self._region = np.ones(len(before.looks), bool)  # where links are looked at again
         self._by_rows = False  # whether rows are identities
 
-    def run(self) -> Rows:
-        """Link what can be linked."""
+    def run(self, known: Rows | None = None) -> Rows:
+        """Link what can be linked, beside links that are ``known`` [n]."""
         self._link(*identical_rows(self._before.splats, self._after.splats))
         self._changed = self.rows < 0
+        if known is not None:
+            new = np.flatnonzero((known >= 0) & self._changed)
+            new = new[self._free[known[new]]]
+            self._link(known[new], new)
+            self._region = self._around(np.flatnonzero(self._free))
         if not self._open():
             return self.rows
         expected = self._expected()
@@ -284,7 +326,7 @@ class _Linking:
         sample = sample[:: max(1, len(sample) // SAMPLE)]
         if len(sample) <= CANDIDATES or not bends.any():
             return even
-        away = [np.median(self._field.near(e[sample], 1)[0]) for e in (even, even + bends)]
+        away = [np.median(self._after.field.near(e[sample], 1)[0]) for e in (even, even + bends)]
         return even + bends if away[1] < BENDS * away[0] else turning
 
     def _part_strangers(self, expected: F64) -> None:
@@ -304,7 +346,7 @@ class _Linking:
             place, _ = self._apart(came[strange], linked[strange], expected)
             strange = strange[place > STRANGE_PLACE]
         if len(strange):
-            expected = self._moved_by_others(linked, came[strange], _field_at)
+            expected = self._moved_by_others(linked, came[strange], field_at)
             place, _ = self._apart(came[strange], linked[strange], expected)
             strange = strange[place > STRANGE_PLACE]
         self._free[came[strange]] = True
@@ -312,7 +354,7 @@ class _Linking:
 
     def _apart(self, before: Rows, after: Rows, expected: F64) -> tuple[F64, F64]:
         """Differences of place and looks of pairs of rows [p]."""
-        place, looks = self._pair.differences(before, after[:, None], expected, self._spacing)
+        place, looks = self._pair.differences(before, after[:, None], expected, self._after.spacing)
         return place[:, 0], looks[:, 0]
 
     def _open(self) -> bool:
@@ -331,40 +373,21 @@ class _Linking:
         if not len(sample) or not self._rows_hold(sample, expected):
             return np.zeros(0, np.intp)
         self._by_rows = True
-        scores = self._scores(rows, rows[:, None], expected, self._spacing)[:, 0]
+        scores = self._scores(rows, rows[:, None], expected, self._after.spacing)[:, 0]
         sure = rows[scores <= SURE]
         self._link(sure, sure)
         return rows[(scores > SURE) & (scores <= ACCEPTED)]
 
     def _rows_hold(self, sample: Rows, expected: F64) -> bool:
         """Whether hardly any of ``sample`` has a better continuation than the same row."""
-        own = self._scores(sample, sample[:, None], expected, self._spacing)[:, 0]
+        own = self._scores(sample, sample[:, None], expected, self._after.spacing)[:, 0]
         likely = own <= ACCEPTED
         if likely.mean() < ROWS_HOLD / 2:
             return False
-        best = self._scores(sample, self._field.near(expected[sample], CANDIDATES)[1], expected, self._spacing).min(
-            axis=1
-        )
+        best = self._scores(
+            sample, self._after.field.near(expected[sample], CANDIDATES)[1], expected, self._after.spacing
+        ).min(axis=1)
         return bool(np.mean(own[likely] <= best[likely] + 1e-3) >= ROWS_HOLD)
-
-    @cached_property
-    def _field(self) -> _Field:
-        """All splats of the frame."""
-        return _Field(self._after.means, self._after.order)
-
-    def _local(self, distances: F64) -> F64:
-        """Distances to neighbours [m, 1] from those to the nearest few [m, k]: splats lie on surfaces.
-
-        Where there are but a few they are no measure of each other: they are taken for as dense as can be.
-        """
-        last: F64 = distances[:, -1:] * distances.shape[1] ** -0.5
-        return last if len(self._after) > CANDIDATES else 0.0 * last
-
-    @cached_property
-    def _spacing(self) -> float:
-        """Typical distance between neighbours of the frame."""
-        means = self._after.means[:: max(1, len(self._after) // SAMPLE)]
-        return float(np.median(self._local(self._field.near(means, CANDIDATES)[0])))
 
     def _search(self, expected: F64, candidates: int = CANDIDATES, *, among: NDArray[np.bool_] | None = None) -> None:
         """Link those that are each other's best continuation, and then those of the rest; with ``among`` [n] only such
@@ -375,11 +398,11 @@ class _Linking:
         before, after = before[free[before]], after[self.rows[after] < 0]
         if not len(before) or not len(after):
             return
-        field = self._field if len(after) == len(self._after) else _Field(self._after.means, after)
+        field = self._after.field if len(after) == len(self._after) else Field(self._after.means, after)
         distances, found = field.near(expected[before], candidates)
-        if field is not self._field:
-            distances = self._field.near(expected[before], FEW)[0]
-        scores = self._scores(before, found, expected, self._local(distances))
+        if field is not self._after.field:
+            distances = self._after.field.near(expected[before], FEW)[0]
+        scores = self._scores(before, found, expected, self._after.local(distances))
         for _ in range(ROUNDS):
             mine, theirs = _mutual(scores, found, len(self._after))
             if not len(mine):
@@ -418,7 +441,7 @@ class _Linking:
         if len(seeds) <= FLOW_NEIGHBOURS:
             return False
         usual = _flow(self._before.means[seeds], self._before.means[seeds], moved, others=True)
-        tolerance = np.maximum(SEED_SPREAD * np.linalg.norm(usual, axis=1), REACH * self._spacing)
+        tolerance = np.maximum(SEED_SPREAD * np.linalg.norm(usual, axis=1), REACH * self._after.spacing)
         agree = np.linalg.norm(moved - usual, axis=1) <= tolerance
         if agree.sum() <= FLOW_NEIGHBOURS:
             return False
@@ -435,15 +458,24 @@ class _Linking:
         linked = np.flatnonzero((self.rows >= 0) & self._changed)
         apart = self._apart_from_neighbours(linked)
         came = self.rows[linked[apart | (self._off(linked, expected) > EXPLAINED)]]
+        came = came[self._region[came]]
         if len(came) <= FLOW_NEIGHBOURS:
             return
         suspect = np.zeros(len(self._before), bool)
         suspect[self.rows[linked[apart]]] = True
         free = np.flatnonzero(self._free)
         pool, moving = np.union1d(came, free), np.union1d(self.rows[linked], free)
-        around = _Field(self._before.means, moving).near(self._before.means[pool], COMPANIONS + 1)[1]
-        for flow, again in ((_middle_of, True), (_field_at, False)):
+        around = Field(self._before.means, moving).near(self._before.means[pool], COMPANIONS + 1)[1]
+        for flow, again in ((_middle_of, True), (field_at, False)):
             self._settle_by(flow, expected, _Pool(pool, around, again, suspect))
+
+    def _around(self, rows: Rows) -> NDArray[np.bool_]:
+        """Mask of the splats of the frame before that lie around some ``rows`` of it."""
+        out = np.zeros(len(self._before), bool)
+        out[rows] = True
+        if len(rows):
+            out[self._before.field.near(self._before.means[rows], REGION)[1]] = True
+        return out
 
     def _settle_by(self, flow: Flow, expected: F64, pool: _Pool) -> None:
         """Search for splats of the ``pool`` where ``flow`` says, as long as this explains more of them. After the first
@@ -488,7 +520,7 @@ class _Linking:
         steps = self._after.means[together] - self._before.means[self.rows[together]]
         off = np.linalg.norm(steps - np.median(steps, axis=1, keepdims=True), axis=2)
         usual = np.median(off, axis=1, keepdims=True)
-        out[order[: groups * COMPANIONS]] = (off > np.maximum(APART * usual, LEAST_APART * self._spacing)).ravel()
+        out[order[: groups * COMPANIONS]] = (off > np.maximum(APART * usual, LEAST_APART * self._after.spacing)).ravel()
         return out
 
     @cached_property
@@ -503,7 +535,7 @@ class _Linking:
         distances between neighbours.
         """
         off: F64 = np.linalg.norm(self._after.means[after] - expected[self.rows[after]], axis=1)
-        return off / max(self._spacing, TINY)
+        return off / max(self._after.spacing, TINY)
 
     def _moved_by_others(self, linked: Rows, rows: Rows, flow: Flow) -> F64:
         """Places of all splats of the frame before [n, 3], ``rows`` of them moved as the :data:`COMPANIONS` nearest
@@ -564,7 +596,7 @@ def _linked_otherwise(before: Rows, now: Rows, count: int) -> NDArray[np.bool_]:
     return out
 
 
-class _Field:
+class Field:
     """Some rows of a frame's splats, for finding those near a place."""
 
     def __init__(self, means: F64, rows: Rows) -> None:
@@ -594,12 +626,12 @@ def _mutual(scores: F64, found: Rows, count: int) -> tuple[Rows, Rows]:
 
 
 def _middle_of(places: F64, points: F64, moved: F64, near: Rows) -> F64:
-    """As :func:`_field_at`, the median alone."""
+    """As :func:`field_at`, the median alone."""
     middle: F64 = np.median(moved[near], axis=1)
     return middle
 
 
-def _field_at(places: F64, points: F64, moved: F64, near: Rows) -> F64:
+def field_at(places: F64, points: F64, moved: F64, near: Rows) -> F64:
     """How far splats at ``places`` [m, 3] move if they go with those of ``points`` [n, 3], which ``moved`` [n, 3], that
     are ``near`` [m, k] each: the value of a linear field, where one holds for them, otherwise the median.
 
@@ -607,7 +639,7 @@ def _field_at(places: F64, points: F64, moved: F64, near: Rows) -> F64:
     """
     if len(near) > FIELD_PIECE:
         pieces = [slice(first, first + FIELD_PIECE) for first in range(0, len(near), FIELD_PIECE)]
-        return np.concatenate([_field_at(places[piece], points, moved, near[piece]) for piece in pieces])
+        return np.concatenate([field_at(places[piece], points, moved, near[piece]) for piece in pieces])
     apart, values = points[near] - places[:, None], moved[near]
     middle = np.median(values, axis=1)
     unit = np.sqrt(np.square(apart).sum(axis=2).mean(axis=1))[:, None, None]

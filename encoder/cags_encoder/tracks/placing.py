@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from cags_common.tiles.morton import morton_order
 from cags_encoder.sampling import check_degree
 from cags_encoder.tracks.identity import IdentityTracker
 from cags_encoder.tracks.looking import Look
+from cags_encoder.tracks.rounding import codebooks
 from cags_encoder.tracks.rows import SplatTable
 
 MOTION = ("means", "quats")
@@ -66,6 +67,8 @@ class Placed:
     """[m] which are new, or differ in more than position and rotation."""
     told: Told | None = None
     """What to code of those that look different; None: what is in the delta."""
+    rounded: Mapping[str, F32] = field(default_factory=dict)
+    """Column of splats -> values that the source rounds it to (:mod:`cags_encoder.tracks.rounding`)."""
 
 
 ROOM = 2.0
@@ -92,20 +95,25 @@ class ClipPlacer:
         self.degree: int | None = None
 
     def place(self, looks: Iterable[tuple[int, Look]]) -> Iterator[Placed]:
-        """Ids for the splats of each frame. Raises :class:`SceneError`."""
-        for index, seen in looks:
-            where = f"{self._name}, frame {index}"
-            self.degree = seen.splats.sh_degree if self.degree is None else self.degree
-            check_degree(seen.splats, self.degree, where)
-            identities, continuous = self._tracker.identify(seen.splats, seen.known, where)
-            key = not self.starts or not continuous or index - self.starts[-1] >= self._gof_frames
+        """Ids for the splats of each frame, numbered from 0. Raises :class:`SceneError`."""
+        for index, frame in enumerate(self._tracker.follow(self._checked(looks))):
+            key = not self.starts or not frame.continuous or index - self.starts[-1] >= self._gof_frames
             if key:
                 self._placer = Placer()
                 self.starts.append(index)
-            delta, births, looked = self._placer.place(seen.splats, identities)
-            low, high = axis_bounds(seen.splats.means)
+            splats = frame.look.splats
+            delta, births, looked = self._placer.place(splats, frame.ids)
+            low, high = axis_bounds(splats.means)
             self.low, self.high = np.minimum(self.low, low), np.maximum(self.high, high)
-            yield Placed(index, key, delta, self._placer.capacity, births, looked)
+            yield Placed(index, key, delta, self._placer.capacity, births, looked, rounded=codebooks(splats))
+
+    def _checked(self, looks: Iterable[tuple[int, Look]]) -> Iterator[tuple[str, Look]]:
+        """Names of frames for errors, and the frames, which have one SH degree."""
+        for index, seen in looks:
+            name = f"{self._name}, frame {index}"
+            self.degree = seen.splats.sh_degree if self.degree is None else self.degree
+            check_degree(seen.splats, self.degree, name)
+            yield name, seen
 
     def tracks(self) -> TrackStatistics:
         """What the tracks of the frames so far are like."""

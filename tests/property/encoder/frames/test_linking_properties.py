@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from cags_common.splats import Splats
 from cags_encoder.tracks.identity import IdentityTracker
 from cags_encoder.tracks.linking import Looks, Tracks, link
+from cags_encoder.tracks.looking import Look
 from support.codec_scenes import cloud, with_changes
 from support.tracked_clips import TrueFrame, linked
 
@@ -70,14 +71,14 @@ def test_any_two_frames_are_linked_one_to_one(data: st.DataObject) -> None:
 
 
 @settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 1000), counts=st.lists(st.integers(1, 60), min_size=2, max_size=5))
+@given(seed=st.integers(0, 1000), counts=st.lists(st.integers(1, 60), min_size=2, max_size=8))
 def test_identities_are_distinct_and_never_come_back(seed: int, counts: list[int]) -> None:
-    rng, tracker, base = np.random.default_rng(seed), IdentityTracker(), cloud(60, seed)
+    rng, base = np.random.default_rng(seed), cloud(60, seed)
+    frames = [("x", Look(base.take(rng.permutation(60)[:count]), None)) for count in counts]
     dead: set[int] = set()
     before: set[int] = set()
-    for count in counts:
-        ids, _ = tracker.identify(base.take(rng.permutation(60)[:count]), None, "x")
-        now = set(ids.tolist())
+    for count, frame in zip(counts, IdentityTracker().follow(frames), strict=True):
+        now = set(frame.ids.tolist())
         assert len(now) == count
         assert not now & dead
         dead |= before - now

@@ -63,7 +63,7 @@ def frames(of: Sequence[Splats], removed: Sequence[Sequence[int]] | None = None)
 def told_of(now: Splats, ids: np.ndarray, later: Sequence[Placed], most: float, ease: float = 1.0) -> Told:
     """What lasts, and how far off it may be."""
     allowed = Allowed(most, ease)
-    return Told(lasting(now, ids, later, allowed), bounds(now, ids, later, allowed))
+    return Told(lasting(now, ids, later, allowed), bounds(now, ids, later, allowed, {}))
 
 
 def grey(effect: float | np.ndarray) -> np.ndarray:
@@ -274,3 +274,16 @@ def test_whatever_is_sent_is_within_its_tolerance_for_as_long_as_it_is_said_to_b
         for step in range(1, length + 1):
             shown = held[row] + (sent[row] - held[row]) * step / length
             assert abs(shown - course[step - 1, row]) <= limit + 1e-5
+
+
+def test_the_next_value_of_a_source_s_codebook_will_do() -> None:
+    """And one that lies further away is a change, however the source rounds. No tolerance is none."""
+    book = (0.05 * np.arange(-100, 100)).astype(np.float32)
+    now, ids = splats(0.05 * np.round(HUES / 0.05)), np.arange(N, dtype=np.int32)
+    later = frames([splats(now.sh0 + np.float32(0.05))])
+    exact = bounds(now, ids, later, Allowed(MOST / 10), {})["sh0"].wrong
+    rounded = bounds(now, ids, later, Allowed(MOST / 10), {"sh0": book})["sh0"].wrong
+    assert (exact < rounded).all()
+    assert rounded == pytest.approx(0.05 * SH_C0, rel=1e-3)
+    assert bounds(now, ids, later, Allowed(0.0), {"sh0": book})["sh0"].wrong == pytest.approx(0.0)
+    assert bounds(now, ids, later, Allowed(MOST / 10), {"log_scales": book})["sh0"].wrong == pytest.approx(exact)

@@ -9,6 +9,7 @@ from cags_common.bundle.tracks import TrackStatistics
 from cags_encoder.pipeline import SplatSequence
 from cags_encoder.scenes import FrameSource, open_scene
 from cags_encoder.tracks.identity import IdentityTracker
+from cags_encoder.tracks.looking import Look
 from cags_encoder.tracks.statistics import TrackCounter
 from support.codec_scenes import cloud, with_changes
 
@@ -16,8 +17,9 @@ from support.codec_scenes import cloud, with_changes
 def track_statistics(source: FrameSource, frames: int | None = None) -> TrackStatistics:
     """Statistics of the tracks of ``source``, or of its first ``frames``."""
     tracker = IdentityTracker()
-    for index in range(len(source) if frames is None else min(frames, len(source))):
-        tracker.identify(source.frame(index), source.ids(index), f"{source.name}, frame {index}")
+    count = len(source) if frames is None else min(frames, len(source))
+    looks = ((f"{source.name}, frame {at}", Look(source.frame(at), source.ids(at))) for at in range(count))
+    assert len(list(tracker.follow(looks))) == count
     return tracker.statistics()
 
 
