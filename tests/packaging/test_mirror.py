@@ -26,7 +26,6 @@ TESTED_THROUGH = {
     "cags_encoder.quantiser": "tests/unit/encoder/test_quantiser.py",
     "cags_encoder.scenes.fourd": "tests/unit/encoder/scenes/test_fourd.py",
     "cags_encoder.scenes.procedural": "tests/unit/encoder/scenes/test_procedural.py",
-    "cags_encoder.tracks.looking": "tests/unit/encoder/test_encode.py",
     "cags_client.frame.align.fast": "tests/unit/client/frame/test_align.py",
     "cags_server.http.acceptor": "tests/attacks/test_acceptor.py",
     "cags_server.http.gallery": "tests/integration/server/test_gallery.py",
