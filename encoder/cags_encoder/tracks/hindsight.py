@@ -36,7 +36,7 @@ FRAMES = 3
 """Number of frames that have to follow before the links to a frame are final."""
 
 LOOKS = 0.1
-"""Weight of differences in looks. Each way has passed the test of looks by itself; here they decide between equals."""
+"""Weight of differences in looks. Both ways have passed the test of looks; here they decide between equals."""
 
 
 @dataclass(eq=False)
@@ -92,10 +92,10 @@ def _ways_back(frames: Sequence[Linked]) -> Iterator[tuple[int, Tracks]]:
 def _corrected_by_next(before: Linked, now: Linked, back: Tracks) -> bool:
     """Link doubtful splats of ``now`` by where they go, which ``back`` tells. Returns whether anything changed."""
     pair = _Pair(before, now, back)
-    doubtful, lost = pair.doubtful(), inverse(now.rows, len(before.looks)) < 0
-    if not doubtful.any() or not (lost.any() or (now.rows[doubtful] >= 0).any()):
-        return False
+    doubtful = pair.doubtful()
     trusted = inverse(np.where(doubtful, -1, now.rows), len(before.looks))
+    if not doubtful.any() or (trusted >= 0).all():
+        return False
     return pair.take_better(inverse(link(back, before.looks, trusted), len(now.rows)))
 
 

@@ -20,8 +20,8 @@ FEWEST, MOST = 128, 256
 """Number of different values that a codebook has."""
 
 USES, ROWS = 16, 4
-"""Least number of times that values are used, in the mean, and of different splats for each value: where each value is
-rounded by itself, they combine in many ways, other than the colours of a palette.
+"""Least mean number of uses of a value, and least number of different rows for each value: values that are rounded one
+by one combine in many ways, unlike the colours of a palette.
 """
 
 LOOKED_AT = 4096
