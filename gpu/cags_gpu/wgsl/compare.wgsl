@@ -16,12 +16,13 @@ const LEAST_DETAIL = 1e-4;
 fn own_at(i: u32) -> vec3<f32> { return clamp(own[i].xyz, vec3(0.0), vec3(1.0)); }
 fn coded_at(i: u32) -> vec3<f32> { return clamp(vec3(coded[3u * i], coded[3u * i + 1u], coded[3u * i + 2u]), vec3(0.0), vec3(1.0)); }
 
-// Beyond the edge the pixels on its other side, the outermost not twice.
+// Beyond the edge the pixels on its other side, the outermost not twice. `at` is AROUND before the first at least. Unsigned,
+// because Vulkan leaves the remainder of negative numbers undefined.
 fn mirrored(at: i32, size: u32) -> u32 {
-  let most = i32(size) - 1;
-  if (most == 0) { return 0u; }
-  let turn = ((at % (2 * most)) + 2 * most) % (2 * most);
-  return u32(select(turn, 2 * most - turn, turn > most));
+  let most = size - 1u;
+  if (most == 0u) { return 0u; }
+  let turn = u32(at + 4 * i32(most)) % (2u * most);
+  return select(turn, 2u * most - turn, turn > most);
 }
 
 var<workgroup> sums: array<f32, 256>;
