@@ -27,7 +27,7 @@ from cags_gpu.device import Handle
 from cags_gpu.graph import Counts, Dispatch, buffer_bytes, build, encode
 from cags_gpu.layout import CHANGED, COMPARE, CORRECTION, ENLARGE
 from cags_gpu.scene import ResidentScene, SceneOnDevice, Target, packed
-from cags_gpu.submission import Outputs, Recording, submitted
+from cags_gpu.submission import Output, Outputs, Recording, submitted
 
 Pixels = NDArray[np.uint8]
 
@@ -150,8 +150,8 @@ class Frame:
             scene.record_into(recording, target, self.camera, self.drawing, compact=self.compact)
             self._finish(recording, scene, target)
             if self.display is None:
-                return [(target[self._output], size)]
-            return [(self._brought_up(recording, scene, target, self.display), size)]
+                return [Output(target[self._output], size)]
+            return [Output(self._brought_up(recording, scene, target, self.display), size)]
 
         (out,) = submitted(scene.workspace, record)
         return out

@@ -1,10 +1,17 @@
-"""The server's reference on the device: truth, the client's copy and what it lacks, in one submission."""
+"""The server's references on the device: truth, the client's copy and what it lacks, of many clients in one submission.
+
+Comparisons that wait for the device are gathered: whoever gets it draws all that fit together (:mod:`cags_gpu.layers`),
+and the others find theirs done.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass, replace
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import islice
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,38 +19,48 @@ from numpy.typing import NDArray
 from cags_common.correction.compander import compand_by_table
 from cags_common.correction.views import Look
 from cags_common.geometry import F32, Camera
-from cags_common.raster.base import DepthKind, RenderOptions
-from cags_common.raster.checks import check_camera
+from cags_common.raster.base import DepthKind, Footprint, RenderOptions
 from cags_gpu.device import DeviceLostError
 from cags_gpu.graph import build, encode
+from cags_gpu.layers import Layer, most_layers, record_layers
 from cags_gpu.layout import COMPAND
-from cags_gpu.scene import ResidentScene, SceneOnDevice, Target
-from cags_gpu.submission import Outputs, Recording, read_back, submitted
+from cags_gpu.scene import KEPT_TARGETS, SceneOnDevice, Target
+from cags_gpu.submission import Output, Outputs, Recording, read_back, submitted
+from cags_gpu.workspace import LAYERS, TooLargeError, Workspace
+
+Bytes: TypeAlias = NDArray[np.uint8]
 
 BUFFERS = {Look.TRUTH: "truth_seen", Look.LACK: "lack_seen", Look.COMPANDED: "coded_seen"}
 SEEN_BYTES = 8
 """Of a pixel: three channels of 16 bits, and 16 to spare."""
 
-MIRROR = "mirror"
-"""Role of the buffers of the client's copy."""
 
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What is drawn and compared, how it is companded, and which pictures are wanted at once; both scenes hold splats
+    and are on one device. ``options`` ask for contributions, and for no depth.
+    """
 
-def device_views(
-    truth: SceneOnDevice, held: SceneOnDevice, job: Comparison, looks: Collection[Look]
-) -> DeviceViews | None:
-    """See :meth:`cags_common.correction.ComparingScene.compared`; both scenes are on one device."""
-    check_camera(job.camera)
-    if not (len(truth) and len(held)):
-        return None
+    truth: SceneOnDevice
+    held: SceneOnDevice
+    camera: Camera
+    options: RenderOptions
+    knee: float
+    looks: tuple[Look, ...]
 
-    def draw(resident: ResidentScene) -> DeviceViews:
-        target = resident.target(job.camera, resident.spare_role(job.camera))
-        made = DeviceViews((truth, held), job, resident, target)
-        target.hold_for(made)
-        made.take(looks, job.draw(resident, held.on(resident.workspace), target, looks))
-        return made
+    def goes_with(self, other: Comparison) -> bool:
+        """Whether both can be drawn together: what differs is the cameras, and the footprints."""
+        return self._alike == other._alike
 
-    return truth.on_device(draw, lambda _: None)
+    @cached_property
+    def _alike(self) -> tuple[object, ...]:
+        size = self.camera.width_px, self.camera.height_px, len(self.truth), len(self.held)
+        return *size, replace(self.options, footprint=Footprint.classic()), self.knee, self.looks
+
+    @property
+    def pixels(self) -> int:
+        """Of each picture."""
+        return self.camera.width_px * self.camera.height_px
 
 
 class DeviceViews:
@@ -54,23 +71,19 @@ class DeviceViews:
 
     compared = True
 
-    def __init__(
-        self, scenes: tuple[SceneOnDevice, SceneOnDevice], job: Comparison, resident: ResidentScene, target: Target
-    ) -> None:
-        self._scenes, self._job, self._target = scenes, job, target
-        self._workspace = resident.workspace
+    def __init__(self, job: Comparison, workspace: Workspace, target: Target, layer: int) -> None:
+        self._job, self._workspace, self._target, self._layer = job, workspace, target, layer
+        self._come: dict[Look, Bytes] = {}
         self._read: dict[Look, F32] = {}
         self.depth: F32 = np.zeros((0, 0), np.float32)
         self.contribution: F32 = np.zeros(0, np.float32)
 
-    def take(self, looks: Collection[Look], outputs: list[NDArray[np.uint8]]) -> None:
-        """Read the outputs of :meth:`Comparison.draw` for ``looks``."""
-        *seen, depth, contribution = outputs
-        for look, out in zip(looks, seen, strict=True):
-            self._read[look] = self._unpacked(look, out)
+    def take(self, seen: Sequence[Bytes], depth: Bytes, contribution: Bytes) -> None:
+        """What has come: the pictures that were asked for, the mirror's depth, the truth's contributions."""
+        self._come = dict(zip(self._job.looks, seen, strict=True))
         camera = self._job.camera
-        self.depth = depth.view(np.float32).reshape(camera.height_px, camera.width_px).copy()
-        self.contribution = contribution.view(np.float32).copy()
+        self.depth = depth.view(np.float32).reshape(camera.height_px, camera.width_px)
+        self.contribution = contribution.view(np.float32)
 
     @property
     def truth(self) -> F32:
@@ -88,14 +101,15 @@ class DeviceViews:
 
     def _seen(self, look: Look) -> F32:
         if look not in self._read:
-            size = SEEN_BYTES * self._job.camera.width_px * self._job.camera.height_px
-            try:
-                with self._workspace.gpu.used():
-                    self._read[look] = self._unpacked(
-                        look, read_back(self._workspace, self._target[BUFFERS[look]], size)
-                    )
-            except DeviceLostError:
-                return self._anew[look]
+            come = self._come.pop(look, None)
+            if come is None:
+                size = SEEN_BYTES * self._job.pixels
+                try:
+                    with self._workspace.gpu.used():
+                        come = read_back(self._workspace, self._target[BUFFERS[look]], size, self._layer * size)
+                except DeviceLostError:
+                    return self._anew[look]
+            self._read[look] = self._unpacked(look, come)
         return self._read[look]
 
     @cached_property
@@ -103,42 +117,153 @@ class DeviceViews:
         job = self._job
         truth, held = (
             np.clip(scene.render(job.camera, replace(job.options, contribution=False)).rgb, 0, 1)
-            for scene in self._scenes
+            for scene in (job.truth, job.held)
         )
         lack = truth - held
         return {Look.TRUTH: truth, Look.LACK: lack, Look.COMPANDED: compand_by_table(lack, job.knee)}
 
-    def _unpacked(self, look: Look, read: NDArray[np.uint8]) -> F32:
+    def _unpacked(self, look: Look, read: Bytes) -> F32:
         camera = self._job.camera
         kind, most = (np.int16, 32767) if look is Look.LACK else (np.uint16, 65535)
         words = read.view(kind).reshape(camera.height_px, camera.width_px, 4)[..., :3]
         return np.multiply(words, np.float32(1 / most), dtype=np.float32)
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """What is drawn, and how it is companded."""
+@dataclass(eq=False)
+class _Waiting:
+    job: Comparison
+    views: DeviceViews | None = None
+    turn: threading.Event = field(default_factory=threading.Event)
+    """Set once the views are there, or it is this one's turn to draw."""
 
-    camera: Camera
-    options: RenderOptions
-    knee: float
 
-    def draw(
-        self, truth: ResidentScene, mirror: ResidentScene, target: Target, looks: Collection[Look]
-    ) -> list[NDArray[np.uint8]]:
-        """Bytes of ``looks``, then of the mirror's depth and of the truth's contributions."""
-        width, height = self.camera.width_px, self.camera.height_px
-        seen = [(target[BUFFERS[look]], SEEN_BYTES * width * height) for look in looks]
+class Comparisons:
+    """Comparisons that wait for the device, and the buffers of their pictures. Safe to use from several threads.
+
+    One thread draws at a time. It wakes those whose views it made, and the first of the others to draw next; they do
+    not wait for the device's lock, behind which those that are done would stand in the way of those to be drawn.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: list[_Waiting] = []
+        self._drawing = False
+        self._lock = threading.Lock()
+        self._most = LAYERS
+        self._targets: list[tuple[Workspace, tuple[int, int, int, str], Target]] = []  # least recently used first
+
+    def views(self, job: Comparison) -> DeviceViews | None:
+        """The pictures; None where the device does not make them now."""
+        mine = _Waiting(job)
+        with self._lock:
+            self._waiting.append(mine)
+            leads, self._drawing = not self._drawing, True
+        if not leads:
+            mine.turn.wait()
+        if mine.views is not None:
+            return mine.views
+        try:
+            return job.truth.on_device(lambda truth: self._drawn(mine, truth.workspace), lambda _: None)
+        finally:
+            self._pass_on(mine)
+
+    def _pass_on(self, mine: _Waiting) -> None:
+        with self._lock:
+            self._waiting = [other for other in self._waiting if other is not mine]
+            self._drawing = bool(self._waiting)
+            if self._waiting:
+                self._waiting[0].turn.set()
+
+    def _drawn(self, mine: _Waiting, workspace: Workspace) -> DeviceViews:
+        """Called with the device's lock held."""
+        together = self._together(mine, workspace)
+        try:
+            self._draw(together, workspace)
+        except TooLargeError:
+            if len(together) == 1:
+                raise
+            self._most = len(together) // 2
+            self._draw([mine], workspace)
+        finally:
+            with self._lock:
+                self._waiting[:0] = [other for other in together[1:] if other.views is None]
+        for other in together[1:]:
+            if other.views is not None:
+                other.turn.set()
+        assert mine.views is not None
+        return mine.views
+
+    def _together(self, mine: _Waiting, workspace: Workspace) -> list[_Waiting]:
+        """Take those out that can be drawn with ``mine``."""
+        splats = max(len(mine.job.truth), len(mine.job.held))
+        most = min(self._most, most_layers(splats, workspace.gpu.max_binding_bytes))
+        with self._lock:
+            alike = (other for other in self._waiting if other is not mine and other.job.goes_with(mine.job))
+            others = islice((other for other in alike if _loaded(other.job, workspace)), most - 1)
+            together = [mine, *others]
+            self._waiting = [other for other in self._waiting if other not in together]
+        return together
+
+    def _draw(self, together: Sequence[_Waiting], workspace: Workspace) -> None:
+        jobs = [waiting.job for waiting in together]
+        count, front = len(jobs), jobs[0]
+        seen, mirror = (self._target(workspace, front.camera, count, role) for role in ("seen", "mirror"))
+        made = [DeviceViews(job, workspace, seen, layer) for layer, job in enumerate(jobs)]
+        seen.hold_for(*made)
 
         def record(recording: Recording) -> Outputs:
             # the mirror last and without contributions: those of the truth stay where they are
-            truth.record_into(recording, target, self.camera, replace(self.options, contribution=True))
-            drawn = replace(self.options, contribution=False, depth=DepthKind.EXPECTED)
-            held = mirror.record(recording, self.camera, drawn, role=MIRROR)
-            job = target.uniform("compand_job", COMPAND.pack(size=(width, height), knee=self.knee))
-            named = {"compand_job": job, "truth": target["picture"], "mirror": held["picture"]}
-            steps = build(truth.gpu, "compand", target.counts, {}, lambda name: named.get(name) or target[name])
-            encode(recording.encoder, steps)
-            return [*seen, (held["depth"], 4 * width * height), (truth.workspace["contribution"], 4 * truth.count)]
+            truths = [Layer(job.truth.on(workspace), job.camera, job.options) for job in jobs]
+            record_layers(recording, seen, truths)
+            copies = [Layer(job.held.on(workspace), job.camera, _of_the_copy(job.options)) for job in jobs]
+            record_layers(recording, mirror, copies, first_view=LAYERS)
+            _compand(recording, workspace, jobs, (seen, mirror))
+            pictures = [Output(seen[BUFFERS[look]], SEEN_BYTES * count * front.pixels, count) for look in front.looks]
+            contributions = Output(workspace["contribution"], 4 * count * len(front.truth), count)
+            return [*pictures, Output(mirror["depth"], 4 * count * front.pixels, count), contributions]
 
-        return submitted(truth.workspace, record)
+        outputs = submitted(workspace, record)
+        for layer, (waiting, views) in enumerate(zip(together, made, strict=True)):
+            *pictures, depth, contribution = outputs[layer::count]
+            views.take(pictures, depth, contribution)
+            waiting.views = views
+
+    def _target(self, workspace: Workspace, camera: Camera, count: int, role: str) -> Target:
+        """Buffers of ``count`` or more pictures that nobody looks at any more."""
+        room = 1 << (count - 1).bit_length()
+        key = camera.width_px, camera.height_px, room, role
+        spare = (t for w, k, t in self._targets if w is workspace and k == key and not t.held)
+        found = next(spare, None) or Target(workspace.gpu, camera, room)
+        kept = [held for held in self._targets if held[0] is workspace and held[2] is not found]
+        self._targets = [*kept[-KEPT_TARGETS + 1 :], (workspace, key, found)]
+        return found
+
+
+def _of_the_copy(options: RenderOptions) -> RenderOptions:
+    return replace(options, contribution=False, depth=DepthKind.EXPECTED)
+
+
+def _compand(
+    recording: Recording, workspace: Workspace, jobs: Sequence[Comparison], targets: tuple[Target, Target]
+) -> None:
+    """Record what follows the drawings of truths and mirrors into their ``targets``."""
+    seen, mirror = targets
+    width, height = jobs[0].camera.width_px, len(jobs) * jobs[0].camera.height_px
+    job = seen.uniform("compand_job", COMPAND.pack(size=(width, height), knee=jobs[0].knee))
+    named = {"compand_job": job, "truth": seen["picture"], "mirror": mirror["picture"]}
+    counts = {"pixels_x": width, "pixels_y": height}
+    steps = seen.steps(
+        workspace.version,
+        ("compand", len(jobs), mirror),
+        lambda: build(workspace.gpu, "compand", counts, {}, lambda name: named.get(name) or seen[name]),
+    )
+    encode(recording.encoder, steps)
+
+
+def _loaded(job: Comparison, workspace: Workspace) -> bool:
+    """Whether the scenes are in the device's memory; what cannot be is its own caller's to know."""
+    try:
+        job.truth.on(workspace)
+        job.held.on(workspace)
+    except TooLargeError:
+        return False
+    return True

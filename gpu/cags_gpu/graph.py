@@ -20,7 +20,7 @@ BLOCK = 2048
 
 Counts: TypeAlias = Mapping[str, int]
 Resolve: TypeAlias = Callable[[str], Handle]
-"""Gives the buffer of a name."""
+"""Gives the buffer of a name, or a part of one: a dictionary of ``buffer``, ``offset`` and ``size``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,12 +93,16 @@ def _dispatch(
     accesses = [pair and pair[1] for pair in pairs]
     pipeline = gpu.pipeline(shader, entry, accesses, constants)
     entries = [
-        {"binding": i, "resource": {"buffer": resolve(pair[0]) if isinstance(pair[0], str) else pair[0]}}
+        {"binding": i, "resource": _resource(resolve(pair[0]) if isinstance(pair[0], str) else pair[0])}
         for i, pair in enumerate(pairs)
         if pair
     ]
     group = gpu.device.create_bind_group(layout=gpu.layout(accesses), entries=entries)
     return Dispatch(f"{shader}.{entry}", pipeline, group)
+
+
+def _resource(found: Handle) -> Handle:
+    return found if isinstance(found, dict) else {"buffer": found}
 
 
 def _sort(

@@ -9,6 +9,7 @@ from functools import cache
 
 from cags_common.errors import ConfigError
 from cags_gpu.device import Gpu
+from cags_gpu.difference import Comparisons
 from cags_gpu.workspace import Workspace
 
 FIRST_DELAY_S = 0.5
@@ -26,6 +27,8 @@ class Keeper:
         self._lock = threading.Lock()
         self._stopped = threading.Event()
         self._workspace: Workspace | None = Workspace(make())
+        self.comparisons = Comparisons()
+        """What waits for the device, of all its scenes."""
 
     def current(self) -> Workspace | None:
         """The device's working memory; None while a new device is being made."""

@@ -6,6 +6,7 @@ import math
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -33,14 +34,30 @@ class Layout:
 
     def pack(self, **values: object) -> bytes:
         """The struct's bytes. Fields that are not named are zero; raises ``KeyError`` for a name that is not there."""
-        out = bytearray(self.size)
-        for name, value in values.items():
-            offset, kind, count = self.fields[name]
-            numbers = np.atleast_1d(np.asarray(value)).ravel().tolist()
-            if len(numbers) > count:
-                raise ValueError(f"{name} holds {count} numbers, not {len(numbers)}")
-            struct.pack_into(f"<{len(numbers)}{kind}", out, offset, *numbers)
-        return bytes(out)
+        numbers: list[object] = []
+        for name, (_, _, count) in self.fields.items():
+            given = values.pop(name, 0)
+            listed = given.tolist() if isinstance(given, np.ndarray) else given
+            some = listed if isinstance(listed, list | tuple) else (listed,)
+            if len(some) > count:
+                raise ValueError(f"{name} holds {count} numbers, not {len(some)}")
+            numbers += [*some, *(0,) * (count - len(some))]
+        if values:
+            raise KeyError(next(iter(values)))
+        return self._format.pack(*numbers)
+
+    def put(self, packed: bytearray, start: int, name: str, number: float) -> None:
+        """Change one number of the struct that begins at ``start``."""
+        offset, kind, _ = self.fields[name]
+        struct.pack_into(f"<{kind}", packed, start + offset, number)
+
+    @cached_property
+    def _format(self) -> struct.Struct:
+        text, at = "<", 0
+        for offset, kind, count in self.fields.values():
+            text += f"{offset - at}x{count}{kind}"
+            at = offset + 4 * count
+        return struct.Struct(f"{text}{self.size - at}x")
 
 
 VIEW = Layout(
@@ -65,28 +82,32 @@ VIEW = Layout(
         "sh_count": (148, "I", 1),
         "sh_used": (152, "I", 1),
         "capacity": (156, "I", 1),
-        "row_x_x": (160, "I", 4),
-        "row_x_y": (176, "I", 4),
-        "row_x_z": (192, "I", 4),
-        "row_y_x": (208, "I", 4),
-        "row_y_y": (224, "I", 4),
-        "row_y_z": (240, "I", 4),
-        "row_z_x": (256, "I", 4),
-        "row_z_y": (272, "I", 4),
-        "row_z_z": (288, "I", 4),
-        "from_x": (304, "I", 4),
-        "from_y": (320, "I", 4),
-        "from_z": (336, "I", 4),
-        "focal_x": (352, "I", 4),
-        "focal_y": (368, "I", 4),
-        "principal_xy": (384, "I", 4),
+        "splats": (160, "I", 1),
+        "base": (164, "I", 1),
+        "layers": (168, "I", 1),
+        "unused": (172, "I", 1),
+        "row_x_x": (176, "I", 4),
+        "row_x_y": (192, "I", 4),
+        "row_x_z": (208, "I", 4),
+        "row_y_x": (224, "I", 4),
+        "row_y_y": (240, "I", 4),
+        "row_y_z": (256, "I", 4),
+        "row_z_x": (272, "I", 4),
+        "row_z_y": (288, "I", 4),
+        "row_z_z": (304, "I", 4),
+        "from_x": (320, "I", 4),
+        "from_y": (336, "I", 4),
+        "from_z": (352, "I", 4),
+        "focal_x": (368, "I", 4),
+        "focal_y": (384, "I", 4),
+        "principal_xy": (400, "I", 4),
     },
-    400,
+    416,
 )
 CHUNK = Layout({"first": (0, "I", 1), "count": (4, "I", 1), "unused_a": (8, "I", 1), "unused_b": (12, "I", 1)}, 16)
 UPDATE = Layout({"rows": (0, "I", 1), "sh_words": (4, "I", 1), "width": (8, "I", 1), "unused": (12, "I", 1)}, 16)
 SORT = Layout({"shift": (0, "I", 1), "count": (4, "I", 1), "blocks": (8, "I", 1), "counted": (12, "I", 1)}, 16)
-COUNT = Layout({"count": (0, "I", 1), "unused_a": (4, "I", 1), "unused_b": (8, "I", 1), "unused_c": (12, "I", 1)}, 16)
+COUNT = Layout({"count": (0, "I", 1), "base": (4, "I", 1), "unused_a": (8, "I", 1), "unused_b": (12, "I", 1)}, 16)
 CORRECTION = Layout(
     {
         "m0": (0, "f", 4),
@@ -142,10 +163,13 @@ def tiles_of(camera: Camera) -> tuple[int, int]:
     return -(-camera.width_px // TILE_PX), -(-camera.height_px // TILE_PX)
 
 
+@lru_cache(maxsize=64)
 def view_bytes(
-    camera: Camera, options: RenderOptions, *, count: int, sh_count: int, sh_used: int, capacity: int
+    camera: Camera, options: RenderOptions, *, splats: int, sh_count: int, sh_used: int, capacity: int, layers: int = 1
 ) -> bytes:
-    """The ``View`` of a camera and options over a scene of ``count`` splats with ``sh_count`` harmonics a channel."""
+    """The ``View`` of a camera and options over a scene of ``splats`` with ``sh_count`` harmonics a channel: the first
+    of ``layers`` that are drawn together.
+    """
     i, rotation = camera.intrinsics, camera.world_to_camera[0]
     position = np.asarray(camera.pose.position, np.float64)
     leading = position.astype(np.float32)
@@ -168,10 +192,12 @@ def view_bytes(
         void_alpha=options.void_alpha,
         stop=STOP[options.exactness],
         brightest=1.0 if options.displayed else BRIGHTEST,
-        count=count,
+        count=layers * splats,
         sh_count=sh_count,
         sh_used=sh_used,
         capacity=capacity,
+        splats=splats,
+        layers=layers,
         **{f"row_{a}_{b}": _limbs(float(rotation[m, n])) for m, a in enumerate("xyz") for n, b in enumerate("xyz")},
         **{f"from_{axis}": _mantissa(float(part)) for axis, part in zip("xyz", position, strict=True)},
         focal_x=_limbs(i.fx_px / FIXED_RANGE_PX),

@@ -24,12 +24,12 @@ from cags_common.raster.checks import (
     replacements,
 )
 from cags_common.splats import Splats
-from cags_gpu.device import DeviceLostError, Handle
-from cags_gpu.difference import Comparison, DeviceViews, device_views
+from cags_gpu.device import DeviceLostError
+from cags_gpu.difference import Comparison, DeviceViews
 from cags_gpu.keeper import Keeper, shared_keeper
 from cags_gpu.pictures import DevicePictures, frame_pictures
 from cags_gpu.scene import Columns, ResidentScene, Target
-from cags_gpu.submission import Recording, submitted
+from cags_gpu.submission import Output, Outputs, Recording, submitted
 from cags_gpu.workspace import TooLargeError, Workspace
 
 Result = TypeVar("Result")
@@ -113,7 +113,11 @@ class GpuScene:
         """See :class:`cags_common.correction.ComparingScene`."""
         if not (isinstance(held, GpuScene) and self.shares_device(held)):
             return None
-        return device_views(self, held, Comparison(camera, replace(options, depth=DepthKind.NONE), knee), looks)
+        check_camera(camera)
+        if not (len(self) and len(held)):
+            return None
+        options = replace(options, depth=DepthKind.NONE, contribution=True)
+        return self._keeper.comparisons.views(Comparison(self, held, camera, options, knee, tuple(sorted(looks))))
 
     def shares_device(self, other: GpuScene) -> bool:
         """Whether both are drawn by the same device, when it is there."""
@@ -164,24 +168,24 @@ def _rendered(scene: ResidentScene, camera: Camera, options: RenderOptions) -> R
     pixels = camera.width_px * camera.height_px
     wanted = options.depth is not DepthKind.NONE
 
-    def record(recording: Recording) -> list[tuple[Handle, int]]:
+    def record(recording: Recording) -> Outputs:
         target = scene.record(recording, camera, options)
         return _outputs(scene, target, options, pixels)
 
     picture, *rest = submitted(scene.workspace, record)
     shape = (camera.height_px, camera.width_px)
     rgba = picture.view(np.float32).reshape(*shape, 4)
-    depth = rest[0].view(np.float32).reshape(shape).copy() if wanted else None
-    contribution = rest[-1].view(np.float32).copy() if options.contribution else None
+    depth = rest[0].view(np.float32).reshape(shape) if wanted else None
+    contribution = rest[-1].view(np.float32) if options.contribution else None
     return RenderedView(np.ascontiguousarray(rgba[..., :3]), np.ascontiguousarray(rgba[..., 3]), depth, contribution)
 
 
-def _outputs(scene: ResidentScene, target: Target, options: RenderOptions, pixels: int) -> list[tuple[Handle, int]]:
-    out = [(target["picture"], 16 * pixels)]
+def _outputs(scene: ResidentScene, target: Target, options: RenderOptions, pixels: int) -> Outputs:
+    out = [Output(target["picture"], 16 * pixels)]
     if options.depth is not DepthKind.NONE:
-        out.append((target["depth"], 4 * pixels))
+        out.append(Output(target["depth"], 4 * pixels))
     if options.contribution:
-        out.append((scene.workspace["contribution"], 4 * scene.count))
+        out.append(Output(scene.workspace["contribution"], 4 * scene.count))
     return out
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import weakref
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count, takewhile
 from typing import Protocol, TypeVar
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.geometry import F32, Camera
-from cags_common.raster.base import Exactness, RasterScene, RenderedView, RenderOptions
+from cags_common.raster.base import DepthKind, Exactness, RasterScene, RenderedView, RenderOptions
 from cags_common.splats import SH_REST_OF_DEGREE, Splats
 from cags_gpu.device import Gpu, Handle
 from cags_gpu.graph import Dispatch, buffer_bytes, build, encode
@@ -97,41 +97,47 @@ class Chunk:
     job: Handle
 
 
-class Target:
-    """The buffers of pictures of one size, and the recorded steps of each kind of frame."""
+def view_counts(camera: Camera, layers: int = 1) -> dict[str, int]:
+    """What sizes and dispatches of a picture of the camera's size depend on: of ``layers`` below one another."""
+    (tiles_x, tiles_y), (width, height) = tiles_of(camera), (camera.width_px, camera.height_px)
+    cells_x, cells_y = -(-width // 8), -(-height // 8)
+    return {
+        "tiles": tiles_x * tiles_y * layers,
+        "tiles_x": tiles_x,
+        "tiles_y": tiles_y * layers,
+        "pixels": width * height * layers,
+        "pixels_x": width,
+        "pixels_y": height * layers,
+        "cells_x": cells_x,
+        "cells_y": cells_y,
+        "cells": 2 * cells_x * cells_y + 64,  # all levels together
+        "one": 1,
+        "tile_bits": max(1, (tiles_x * tiles_y * layers).bit_length()),  # one tile more than there are: padding
+    }
 
-    def __init__(self, gpu: Gpu, camera: Camera) -> None:
+
+class Target:
+    """The buffers of pictures of one size, of as many ``layers`` as there may be, and the recorded steps of each kind
+    of frame.
+    """
+
+    def __init__(self, gpu: Gpu, camera: Camera, layers: int = 1) -> None:
         self._gpu = gpu
-        tiles_x, tiles_y = tiles_of(camera)
-        width, height = camera.width_px, camera.height_px
-        cells_x, cells_y = -(-width // 8), -(-height // 8)
-        self.counts = {
-            "tiles": tiles_x * tiles_y,
-            "tiles_x": tiles_x,
-            "tiles_y": tiles_y,
-            "pixels": width * height,
-            "pixels_x": width,
-            "pixels_y": height,
-            "cells_x": cells_x,
-            "cells_y": cells_y,
-            "cells": 2 * cells_x * cells_y + 64,  # all levels together
-            "one": 1,
-            "tile_bits": max(1, (tiles_x * tiles_y).bit_length()),  # one tile more than there are: padding
-        }
+        self.counts = view_counts(camera, layers)
         self.view = gpu.buffer(VIEW.size, uniform=True)
         self._steps: dict[tuple[object, ...], list[Dispatch]] = {}
         self._buffers: dict[str, Handle] = {}
         self._uniforms: dict[str, Handle] = {}
-        self._holder: weakref.ReferenceType[object] | None = None
+        self._holders: list[weakref.ReferenceType[object]] = []
 
     @property
     def held(self) -> bool:
         """Whether somebody may still look at the pictures."""
-        return self._holder is not None and self._holder() is not None
+        return any(holder() is not None for holder in self._holders)
 
-    def hold_for(self, holder: object) -> None:
-        """Leave the pictures as they are as long as ``holder`` lives."""
-        self._holder = weakref.ref(holder)
+    def hold_for(self, *holders: object) -> None:
+        """Leave the pictures as they are as long as one of them lives."""
+        self._holders = [weakref.ref(holder) for holder in holders]
 
     def uniform(self, name: str, data: bytes) -> Handle:
         """The uniform buffer of a name; the next submission sees ``data`` in it."""
@@ -181,6 +187,8 @@ class ResidentScene:
         self.held: tuple[object, object] | None = None
         """What the buffers of the reference hold: an object that is kept alive, and what it was made under."""
         self._unsorted = True
+        self._recorded: dict[object, list[Dispatch]] = {}
+        self._recorded_for = -1
         self.change(Columns.of(np.arange(self.count), splats))
 
     def _chunked(self) -> list[Chunk]:
@@ -273,13 +281,34 @@ class ResidentScene:
 
     def _prepare(self, recording: Recording, target: Target, camera: Camera, options: RenderOptions) -> None:
         self.workspace.reserve(self.count, exact=not packed(options))
-        held = SH_REST_OF_DEGREE[options.max_sh_degree]
-        counted = {"count": self.count, "sh_count": self.sh_count, "sh_used": min(self.sh_count, held)}
-        view = view_bytes(camera, options, **counted, capacity=self.workspace.counts["capacity"])
-        self.gpu.device.queue.write_buffer(target.view, 0, view)
+        self.gpu.device.queue.write_buffer(target.view, 0, self.view_bytes(camera, options))
+        self.put_in_order(recording)
+
+    def view_bytes(self, camera: Camera, options: RenderOptions, layers: int = 1) -> bytes:
+        """The ``View`` of the scene, the first of ``layers``; after the workspace has reserved room for them."""
+        used = min(self.sh_count, SH_REST_OF_DEGREE[options.max_sh_degree])
+        counted = {"splats": self.count, "sh_count": self.sh_count, "sh_used": used}
+        seen = replace(options, contribution=False, depth=DepthKind.NONE)  # which truth and mirror have in common
+        return view_bytes(camera, seen, **counted, capacity=self.workspace.counts["capacity"], layers=layers)
+
+    def put_in_order(self, recording: Recording) -> None:
+        """Record the sort by content, if splats have changed."""
         if self._unsorted:
-            encode(recording.encoder, self._steps(target, "hash", {}))
+            encode(recording.encoder, self._own_steps("hash", self._hash_steps))
             recording.once_drawn.append(self._is_sorted)
+
+    def layer_steps(self, base: int, view: Handle, *, exact: bool) -> list[Dispatch]:
+        """Project the scene into the layer that begins at splat ``base`` of the workspace, and note its order there.
+
+        ``view`` is one of the workspace's, and always the same for a ``base`` and ``exact``.
+        """
+
+        def make() -> list[Dispatch]:
+            named = {"view": view, "count_job": self.gpu.uniform(COUNT.pack(count=self.count, base=base))}
+            steps = build(self.gpu, "layer", {"layer_splats": self.count}, {}, lambda name: self._find(name, named))
+            return steps + self._project_steps({"packed": not exact}, named)
+
+        return self._own_steps(("layer", base, view["offset"], exact), make)
 
     def steps_of(self, target: Target, options: RenderOptions, *, compact: bool = False) -> list[Dispatch]:
         """The dispatches of a frame with these options."""
@@ -289,49 +318,52 @@ class ResidentScene:
             "slots": options.contribution,
             "contribution": options.contribution,
         }
-        return self._steps(target, "frame", flags)
+        return self._steps(target, flags)
 
     def _is_sorted(self) -> None:
         self._unsorted = False
 
-    def _steps(self, target: Target, kind: str, flags: dict[str, bool]) -> list[Dispatch]:
-        def make() -> list[Dispatch]:
-            return self._hash_steps(target) if kind == "hash" else self._frame_steps(target, flags)
+    def _steps(self, target: Target, flags: dict[str, bool]) -> list[Dispatch]:
+        return target.steps(self.workspace.version, tuple(flags.items()), lambda: self._frame_steps(target, flags))
 
-        return target.steps(self.workspace.version, (kind, *flags.items()), make)
+    def _own_steps(self, key: object, make: Callable[[], list[Dispatch]]) -> list[Dispatch]:
+        """As :meth:`Target.steps`, of what depends on the scene and the workspace alone."""
+        if self._recorded_for != self.workspace.version:
+            self._recorded, self._recorded_for = {}, self.workspace.version
+        if key not in self._recorded:
+            self._recorded[key] = make()
+        return self._recorded[key]
 
     def counts_of(self, target: Target) -> dict[str, int]:
         """Everything that sizes and dispatches of a frame depend on."""
         return self.workspace.counts | target.counts | {"splats": self.count}
 
-    def _hash_steps(self, target: Target) -> list[Dispatch]:
+    def _hash_steps(self) -> list[Dispatch]:
         job = self.gpu.uniform(COUNT.pack(count=self.count))
-        return build(
-            self.gpu, "hash", self.counts_of(target), {}, lambda name: self._find(target, name, {"count_job": job})
-        )
+        counts = {"splats": self.count}
+        return build(self.gpu, "hash", counts, {}, lambda name: self._find(name, {"count_job": job}))
 
-    def _frame_steps(self, target: Target, flags: dict[str, bool]) -> list[Dispatch]:
-        counts = self.counts_of(target)
+    def _project_steps(self, flags: dict[str, bool], named: Mapping[str, Handle]) -> list[Dispatch]:
         steps: list[Dispatch] = []
         for chunk in self._chunks:
-            named = {"view": target.view, "chunk": chunk.job, "sh_rest": chunk.sh_rest}
-            steps += build(
-                self.gpu,
-                "project",
-                counts | {"chunk_splats": chunk.count},
-                flags,
-                lambda name, named=named: self._find(target, name, named),  # type: ignore[misc]
-            )
-        return steps + build(
-            self.gpu, "draw", counts, flags, lambda name: self._find(target, name, {"view": target.view})
-        )
+            of_chunk = {**named, "chunk": chunk.job, "sh_rest": chunk.sh_rest}
+            counts = {"chunk_splats": chunk.count}
+            steps += build(self.gpu, "project", counts, flags, lambda name, of=of_chunk: self._find(name, of))  # type: ignore[misc]
+        return steps
 
-    def _find(self, target: Target, name: str, named: Mapping[str, Handle]) -> Handle:
+    def _frame_steps(self, target: Target, flags: dict[str, bool]) -> list[Dispatch]:
+        named = {"view": target.view}
+
+        def find(name: str) -> Handle:
+            return target[name] if name in target else self._find(name, named)
+
+        steps = self._project_steps(flags, named)
+        return steps + build(self.gpu, "draw", self.counts_of(target), flags, find)
+
+    def _find(self, name: str, named: Mapping[str, Handle]) -> Handle:
         if name in named:
             return named[name]
-        if name in self._buffers:
-            return self._buffers[name]
-        return target[name] if name in target else self.workspace[name]
+        return self._buffers[name] if name in self._buffers else self.workspace[name]
 
 
 def packed(options: RenderOptions) -> bool:

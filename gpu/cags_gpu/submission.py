@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +15,21 @@ from numpy.typing import NDArray
 from cags_gpu.device import Gpu, Handle
 from cags_gpu.workspace import Workspace
 
-Outputs = Sequence[tuple[Handle, int]]
-"""Buffers to read back, and how many bytes of each."""
+PIECE_BYTES = 2 << 20
+COPIERS = 4
+"""What comes back is copied by as many threads, in pieces of this size."""
+
+
+class Output(NamedTuple):
+    """A buffer to read back: the first ``size`` bytes, in as many arrays of one size as it has ``parts``."""
+
+    buffer: Handle
+    size: int
+    parts: int = 1
+    start: int = 0
+
+
+Outputs = Sequence[Output]
 
 
 class Recording:
@@ -25,7 +43,7 @@ class Recording:
 def submitted(workspace: Workspace, record: Callable[[Recording], Outputs]) -> list[NDArray[np.uint8]]:
     """Record, submit and read back; again with larger buffers where there were more entries than room for them.
 
-    The arrays belong to the caller.
+    The arrays belong to the caller: those of each output in turn.
 
     ``record`` puts any number of frames into the recording; it may be called more than once.
     """
@@ -36,16 +54,16 @@ def submitted(workspace: Workspace, record: Callable[[Recording], Outputs]) -> l
         outputs = record(recording)
         if workspace.version != version:
             continue  # buffers were replaced: what was recorded before that refers to the old ones
-        state, *read = _read(workspace, recording, [(workspace["state"], 16), *outputs])
+        state, *read = _read(workspace, recording, [Output(workspace["state"], 16), *outputs])
         if workspace.grow(int(state.view(np.uint32)[3])):
             for noted in recording.once_drawn:
                 noted()
             return read
 
 
-def read_back(workspace: Workspace, buffer: Handle, size: int) -> NDArray[np.uint8]:
-    """The first ``size`` bytes of a buffer, once what was submitted before is done."""
-    (read,) = _read(workspace, Recording(workspace.gpu), [(buffer, size)])
+def read_back(workspace: Workspace, buffer: Handle, size: int, start: int = 0) -> NDArray[np.uint8]:
+    """``size`` bytes of a buffer, once what was submitted before is done."""
+    (read,) = _read(workspace, Recording(workspace.gpu), [Output(buffer, size, start=start)])
     return read
 
 
@@ -53,17 +71,36 @@ def _read(workspace: Workspace, recording: Recording, wanted: Outputs) -> list[N
     """Bytes of several buffers through one that the host maps."""
     import wgpu
 
-    total = sum(size for _, size in wanted)
+    total = sum(output.size for output in wanted)
     through = workspace.readback(total)
-    at = 0
-    for buffer, size in wanted:
-        recording.encoder.copy_buffer_to_buffer(buffer, 0, through, at, size)
-        at += size
+    cuts = [0]
+    for buffer, size, parts, start in wanted:
+        recording.encoder.copy_buffer_to_buffer(buffer, start, through, cuts[-1], size)
+        cuts += [cuts[-1] + size // parts * (part + 1) for part in range(parts)]
     workspace.gpu.device.queue.submit([recording.encoder.finish()])
     through.map_sync(wgpu.MapMode.READ, 0, total)
     try:
-        # numpy copies, because its large arrays use huge pages, which makes their first use much faster
-        everything = np.frombuffer(through.read_mapped(0, total, copy=False), np.uint8).copy()
+        return _copied(np.frombuffer(through.read_mapped(0, total, copy=False), np.uint8), cuts)
     finally:
         through.unmap()
-    return np.split(everything, np.cumsum([size for _, size in wanted])[:-1])
+
+
+def _copied(mapped: NDArray[np.uint8], cuts: Sequence[int]) -> list[NDArray[np.uint8]]:
+    """Arrays of what lies between ``cuts``. numpy's, because its large ones use huge pages, which makes their first use
+    much faster; by several threads, because one alone takes longer than the device to draw.
+    """
+    copies = [np.empty(end - begin, np.uint8) for begin, end in pairwise(cuts)]
+    pieces = [
+        (copy[at : at + PIECE_BYTES], mapped[begin + at : begin + at + PIECE_BYTES][: len(copy) - at])
+        for copy, begin in zip(copies, cuts, strict=False)
+        for at in range(0, len(copy), PIECE_BYTES)
+    ]
+    run = map if cuts[-1] <= PIECE_BYTES else _copiers().map
+    for _ in run(np.copyto, *zip(*pieces, strict=True)):
+        pass
+    return copies
+
+
+@cache
+def _copiers() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(min(COPIERS, os.cpu_count() or 1), "gpu-read-back")

@@ -14,7 +14,7 @@ from cags_common.raster.base import RenderOptions
 from cags_gpu.graph import Dispatch, encode, record
 from cags_gpu.layout import TILE_PX
 from cags_gpu.scene import ResidentScene, packed
-from cags_gpu.submission import Outputs, Recording, submitted
+from cags_gpu.submission import Output, Outputs, Recording, submitted
 from cags_gpu.work import FrameCounts
 
 LOG2_ALPHA_CUT = -7.99435344
@@ -32,8 +32,8 @@ def frame_counts(
 
     def binned(recording: Recording) -> Outputs:
         scene.record_binning(recording, camera, options)
-        records = (scene.workspace["records"], 32 * scene.count)
-        return [(scene.workspace["state"], 16), (scene.workspace["touched"], 4 * scene.count), records]
+        sizes = {"state": 16, "touched": 4 * scene.count, "records": 32 * scene.count}
+        return [Output(scene.workspace[name], size) for name, size in sizes.items()]
 
     state, touched, records = submitted(scene.workspace, binned)
     seen = touched.view(np.uint32) > 0

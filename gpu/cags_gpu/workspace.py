@@ -5,9 +5,16 @@ from __future__ import annotations
 from cags_common.errors import CagsError
 from cags_gpu.device import Gpu, Handle
 from cags_gpu.graph import buffer_bytes
+from cags_gpu.layout import VIEW
 
 LEAST_CAPACITY = 1 << 16
 """Entries (splat, tile) that a frame may have at first; it grows with what frames ask for."""
+
+LAYERS = 16
+"""Views that are drawn together at most: more would need buffers that not every device has."""
+
+VIEW_BYTES = 512
+"""Of a ``View`` among others: uniform bindings begin at multiples of 256 bytes."""
 
 HEADROOM = 1.5
 CROWDED = 0.8
@@ -25,6 +32,8 @@ class Workspace:
         self.gpu = gpu
         self._buffers: dict[str, Handle] = {}
         self._readback: Handle = None
+        self.views = gpu.buffer(2 * LAYERS * VIEW_BYTES, uniform=True)
+        """Cameras of layers: of two drawings in one submission."""
         self.version = 0
         self.counts = {"one": 1, "splats": 1, "exact_splats": 1, "capacity": LEAST_CAPACITY}
 
@@ -54,6 +63,10 @@ class Workspace:
             self._limit(name, size)
             self._buffers[name] = self.gpu.buffer(size, indirect=name == "dispatch")
         return self._buffers[name]
+
+    def view(self, number: int) -> Handle:
+        """One of :attr:`views`, to be bound."""
+        return {"buffer": self.views, "offset": number * VIEW_BYTES, "size": VIEW.size}
 
     def readback(self, size: int) -> Handle:
         """A buffer of at least ``size`` bytes that the host maps."""

@@ -12,7 +12,7 @@ from cags_common.raster import Exactness, RenderedView, RenderOptions
 from cags_gpu.correct import Frame
 from cags_gpu.device import Handle
 from cags_gpu.scene import ResidentScene, Target
-from cags_gpu.submission import Outputs, Recording, submitted
+from cags_gpu.submission import Output, Outputs, Recording, submitted
 from support.gpu import rasteriser
 from support.raster_scenes import splat
 
@@ -60,7 +60,7 @@ class DeviceCorrector:
 
             def record(recording: Recording) -> Outputs:
                 frame._finish(recording, resident, target)
-                return [(target["shown_floats"], 16 * view.alpha.size)]
+                return [Output(target["shown_floats"], 16 * view.alpha.size)]
 
             return submitted(resident.workspace, record)[0].view(np.float32).reshape(*view.alpha.shape, 4)
 

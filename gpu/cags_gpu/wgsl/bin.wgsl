@@ -82,16 +82,17 @@ fn put(at: u32, tile: u32, splat: u32) {
 fn emitted(splat: u32, from_slot: u32, count: u32) {
   let drawn = drawn_of(records[2u * splat], records[2u * splat + 1u]);
   let rows = tile_rows(drawn, view.size);
+  let before = splat / view.splats * view.tiles.x * view.tiles.y;  // tiles of the layers before
   var at = from_slot;
   let end = added(from_slot, count);
   for (var row = rows.x; row <= rows.y; row++) {
     let columns = tile_columns(drawn, row, view.size);
     for (var column = columns.x; column <= columns.y && at < end; column++) {
-      put(at, u32(row) * view.tiles.x + u32(column), splat);
+      put(at, before + u32(row) * view.tiles.x + u32(column), splat);
       at++;
     }
   }
-  for (; at < end; at++) { put(at, view.tiles.x * view.tiles.y, splat); }
+  for (; at < end; at++) { put(at, view.layers * view.tiles.x * view.tiles.y, splat); }
 }
 
 @compute @workgroup_size(256) fn emit(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {

@@ -23,6 +23,11 @@ var<workgroup> weights: array<atomic<u32>, BATCH>;
 var<workgroup> open: atomic<u32>;
 var<workgroup> going_on: u32;
 
+// Rows of tiles of one layer follow those of the layer before.
+fn tile_of(group: vec2<u32>) -> vec2<u32> { return vec2(group.x, group.y % view.tiles.y); }
+
+fn first_pixel(group: vec2<u32>) -> u32 { return group.y / view.tiles.y * view.size.x * view.size.y; }
+
 fn pixel_of(tile: vec2<u32>, lane: u32) -> vec2<u32> {
   let quarter = lane / 64u; let within = lane % 64u;
   return tile * TILE + QUARTER * vec2(quarter % 2u, quarter / 2u) + vec2(within % QUARTER, within / QUARTER);
@@ -58,8 +63,7 @@ fn fetched(lane: u32, splat: u32, tile: vec2<u32>) {
 
 struct Pixel { rgb: vec3<f32>, light: f32, z: f32 }
 
-fn written(pixel: vec2<u32>, p: Pixel) {
-  let i = pixel.y * view.size.x + pixel.x;
+fn written(i: u32, p: Pixel) {
   let alpha = 1.0 - p.light;
   let rgb = min(p.rgb, vec3(view.brightest));
   if (COMPACT) {
@@ -100,16 +104,17 @@ fn composited(p: ptr<function, Pixel>, k: u32, weight: f32) {
 }
 
 @compute @workgroup_size(16, 16)
-fn blend(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-  let pixel = pixel_of(tile.xy, lane);
+fn blend(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+  let tile = tile_of(group.xy);
+  let pixel = pixel_of(tile, lane);
   let inside = all(pixel < view.size);
-  let range = ranges[tile.y * view.tiles.x + tile.x];
+  let range = ranges[group.y * view.tiles.x + group.x];
   var p = Pixel(vec3(0.0), 1.0, 0.0);
   var finished = !inside;
   for (var begin = range.x; begin < range.y; begin += BATCH) {
     if (!going(lane, finished)) { break; }
     let count = min(BATCH, range.y - begin);
-    if (lane < count) { fetched(lane, entry_value[begin + lane], tile.xy); }
+    if (lane < count) { fetched(lane, entry_value[begin + lane], tile); }
     workgroupBarrier();
     for (var word = 0u; word < WORDS; word++) {
       var waiting = atomicLoad(&touching[lane / 64u * WORDS + word]);
@@ -123,21 +128,22 @@ fn blend(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index
       }
     }
   }
-  if (inside) { written(pixel, p); }
+  if (inside) { written(first_pixel(group.xy) + pixel.y * view.size.x + pixel.x, p); }
 }
 
 @compute @workgroup_size(16, 16)
-fn blend_counting(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-  let pixel = pixel_of(tile.xy, lane);
+fn blend_counting(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+  let tile = tile_of(group.xy);
+  let pixel = pixel_of(tile, lane);
   let inside = all(pixel < view.size);
-  let range = ranges[tile.y * view.tiles.x + tile.x];
+  let range = ranges[group.y * view.tiles.x + group.x];
   var p = Pixel(vec3(0.0), 1.0, 0.0);
   var finished = !inside;
   for (var begin = range.x; begin < range.y; begin += BATCH) {
     if (!going(lane, finished)) { break; }
     let count = min(BATCH, range.y - begin);
     if (lane < count) {
-      fetched(lane, slot_splat[entry_value[begin + lane]], tile.xy);
+      fetched(lane, slot_splat[entry_value[begin + lane]], tile);
       atomicStore(&weights[lane], 0u);
     }
     workgroupBarrier();
@@ -157,5 +163,5 @@ fn blend_counting(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocat
     workgroupBarrier();
     if (lane < count) { slots[entry_value[begin + lane]] = atomicLoad(&weights[lane]); }
   }
-  if (inside) { written(pixel, p); }
+  if (inside) { written(first_pixel(group.xy) + pixel.y * view.size.x + pixel.x, p); }
 }

@@ -1,4 +1,6 @@
 // Shared by the rasteriser's stages. Hosts put this file before each stage's: WGSL has no includes.
+// Several views of one size may be drawn together, as layers: the splats of each, and its tiles, follow those of the one
+// before. Camera and harmonics are each layer's own; what all stages after `project` read is the same in all of them.
 struct View {
   row_x: vec4<f32>, row_y: vec4<f32>, row_z: vec4<f32>,  // world to camera
   position: vec4<f32>, position_rest: vec4<f32>,         // the camera's position as a sum of two floats
@@ -6,7 +8,8 @@ struct View {
   limit: vec2<f32>, size: vec2<u32>,
   tiles: vec2<u32>, near: f32, dilation: f32,
   variance: f32, void_alpha: f32, stop: f32, brightest: f32,
-  count: u32, sh_count: u32, sh_used: u32, capacity: u32,
+  count: u32, sh_count: u32, sh_used: u32, capacity: u32,                 // splats of all layers
+  splats: u32, base: u32, layers: u32, unused: u32,                       // of a layer; those of the layers before; how many
   // for exact centres and depths: limbs of 16 bits of |component| 2^47 and a sign of each row's x, y, z; the position's
   // 53-bit mantissas (high, low), exponents + 2048 and signs; limbs of focal lengths x 2^31; principal point x 2^31
   row_x_x: vec4<u32>, row_x_y: vec4<u32>, row_x_z: vec4<u32>,

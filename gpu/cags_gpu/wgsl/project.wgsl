@@ -67,8 +67,9 @@ fn touched_tiles(d: Drawn) -> u32 {
 @compute @workgroup_size(256) fn project(@builtin(global_invocation_id) id: vec3<u32>) {
   if (id.x >= chunk.count) { return; }
   let i = chunk.first + id.x;
-  keys[ranks[i]] = ABSENT;
-  touched[i] = 0u;
+  let to = view.base + i; let rank = view.base + ranks[i];
+  keys[rank] = ABSENT;
+  touched[to] = 0u;
   let placed = motion[2u * i]; let q = normalize(motion[2u * i + 1u]);
   let scale = exp(min(looks[2u * i].xyz, vec3(LARGEST_LOG_SCALE)));
   let toward = (placed.xyz - view.position.xyz) - view.position_rest.xyz;
@@ -110,14 +111,14 @@ fn touched_tiles(d: Drawn) -> u32 {
     second.z = pack2x16float(bright.xy);
     second.w = (pack2x16float(vec2(bright.z, 0.0)) & 0xffffu) | (opacity << 16u);
   } else {
-    colours[i] = vec4(rgb, 0.0);
+    colours[to] = vec4(rgb, 0.0);
     second.w = pack2x16float(clamp(centre_rest(exact, centre) * REST_UNIT, vec2(-LARGEST_HALF), vec2(LARGEST_HALF)));
   }
   let drawn = drawn_of(bitcast<vec4<u32>>(first), second);  // as it is stored: binning sees the same ellipse
   let tiles = touched_tiles(drawn);
   if (tiles == 0u) { return; }
-  records[2u * i] = bitcast<vec4<u32>>(first);
-  records[2u * i + 1u] = second;
-  touched[i] = tiles;
-  keys[ranks[i]] = bitcast<u32>(p.z);
+  records[2u * to] = bitcast<vec4<u32>>(first);
+  records[2u * to + 1u] = second;
+  touched[to] = tiles;
+  keys[rank] = bitcast<u32>(p.z);
 }

@@ -7,7 +7,7 @@
 @compute @workgroup_size(256)
 fn ranges_of(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
   let n = state[1];
-  let tiles = view.tiles.x * view.tiles.y;
+  let tiles = view.layers * view.tiles.x * view.tiles.y;
   for (var i = id.x; i < n; i += groups.x * 256u) {
     let tile = entry_tile[i];
     if (tile >= tiles) { continue; }

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from cags_common.correction import ComparingScene, Look, Reference, StagedViews
+from cags_common.geometry import Camera
 from cags_common.raster import DepthKind, Footprint, create
 from cags_gpu import submission
 from cags_gpu.correct import corrected
 from cags_gpu.difference import DeviceViews
 from cags_gpu.keeper import Keeper
+from cags_gpu.layers import most_layers
 from cags_gpu.raster import GpuRasteriser, GpuScene
-from cags_gpu.workspace import Workspace
+from cags_gpu.workspace import LAYERS, TooLargeError, Workspace
 from support.device_frames import CLIENT, EXACT, SERVER, plates
-from support.gpu import any_gpu, needs_adapter, rasteriser
+from support.gpu import any_gpu, keeper, needs_adapter, rasteriser
 
 pytestmark = needs_adapter
 
@@ -63,7 +69,7 @@ def test_one_submission_brings_what_was_asked_for_and_no_more(monkeypatch: pytes
     real = submission._read
 
     def counted(workspace: Workspace, recording: submission.Recording, wanted: submission.Outputs) -> object:
-        read.append(sum(size for _, size in wanted))
+        read.append(sum(output.size for output in wanted))
         return real(workspace, recording, wanted)
 
     monkeypatch.setattr(submission, "_read", counted)
@@ -138,3 +144,161 @@ def test_what_the_server_codes_the_client_adds() -> None:
     before = corrected(scene, CLIENT, EXACT, None)
     after = corrected(scene, CLIENT, EXACT, Reference(made.companded(0.1), SERVER))
     assert np.mean((after.rgb - right) ** 2) < 0.2 * np.mean((before.rgb - right) ** 2)
+
+
+def copies(number: int) -> list[GpuScene]:
+    """What different clients hold."""
+    made = []
+    for seed in range(number):
+        held = plates()
+        held.sh0[:] += np.random.default_rng(seed).normal(0, 0.2, held.sh0.shape).astype(np.float32)
+        made.append(rasteriser().load(held))
+    return made
+
+
+@contextmanager
+def held_up(scene: GpuScene, until: int) -> Iterator[None]:
+    """The device is busy until as many comparisons wait for it."""
+    workspace, comparisons = keeper().current(), keeper().comparisons
+    assert workspace is not None
+    with workspace.gpu.used():
+        yield
+        deadline = time.monotonic() + 30
+        while len(comparisons._waiting) < until and time.monotonic() < deadline:
+            time.sleep(0.001)
+
+
+def aside(steps: int) -> Camera:
+    return replace(SERVER, pose=replace(SERVER.pose, position=(0.9 - 0.02 * steps, 0.3, -4.7)))
+
+
+def at_once(truths: Sequence[GpuScene], held: Sequence[GpuScene], cameras: Sequence[Camera]) -> list[DeviceViews]:
+    """Comparisons of as many threads, that all wait for the device before any is drawn."""
+
+    def one(truth: GpuScene, copy: GpuScene, camera: Camera) -> DeviceViews:
+        footprint = Footprint.of(CLIENT.intrinsics, camera.intrinsics)
+        made = truth.compared(copy, camera, replace(OPTIONS, footprint=footprint), knee=0.1, looks=tuple(Look))
+        assert made is not None
+        return made
+
+    with ThreadPoolExecutor(len(held)) as pool:
+        with held_up(truths[0], len(held)):
+            futures = [pool.submit(one, *each) for each in zip(truths, held, cameras, strict=True)]
+        return [future.result(60) for future in futures]
+
+
+def alone(truth: GpuScene, copy: GpuScene, camera: Camera) -> DeviceViews:
+    (made,) = at_once([truth], [copy], [camera])
+    return made
+
+
+@pytest.fixture
+def submissions(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Bytes that each submission brought."""
+    brought: list[int] = []
+    real = submission._read
+
+    def counted(workspace: Workspace, recording: submission.Recording, wanted: submission.Outputs) -> object:
+        brought.append(sum(output.size for output in wanted))
+        return real(workspace, recording, wanted)
+
+    monkeypatch.setattr(submission, "_read", counted)
+    return brought
+
+
+@pytest.mark.parametrize("clients", [2, 5, LAYERS, LAYERS + 3])
+def test_those_that_wait_are_drawn_together_and_have_the_same_bits(clients: int, submissions: list[int]) -> None:
+    truths = [rasteriser().load(plates()), rasteriser().load(plates().take(np.arange(460)[::-1]))]
+    truths = [truths[i % 3 == 2] for i in range(clients)]
+    held, cameras = copies(clients), [aside(i) for i in range(clients)]
+    right = [alone(*each) for each in zip(truths, held, cameras, strict=True)]
+    submissions.clear()
+    made = at_once(truths, held, cameras)
+    again = at_once(truths, held, cameras)
+    assert len(submissions) <= 2 * -(-clients // LAYERS) + 2, "drawn again at most once, with more room for entries"
+    for views in (made, again):
+        for ours, one in zip(views, right, strict=True):
+            for name in ("truth", "lack", "contribution", "depth"):
+                np.testing.assert_array_equal(getattr(ours, name), getattr(one, name))
+            np.testing.assert_array_equal(ours.companded(0.1), one.companded(0.1))
+    assert np.abs(made[0].lack - made[1].lack).max() > 0.1
+
+
+def test_only_what_fits_together_is_drawn_together(submissions: list[int]) -> None:
+    truth, held = rasteriser().load(plates()), copies(4)
+    small = replace(SERVER, intrinsics=SERVER.intrinsics.resized(24, 18))
+    few = rasteriser().load(plates().take(np.arange(400)))
+    cameras = [SERVER, small, aside(1), small]
+    truths = [truth, truth, truth, few]
+    right = [alone(*each) for each in zip(truths, held, cameras, strict=True)]
+    submissions.clear()
+    made = at_once(truths, held, cameras)
+    assert len(submissions) == 3
+    for ours, one in zip(made, right, strict=True):
+        np.testing.assert_array_equal(ours.lack, one.lack)
+        np.testing.assert_array_equal(ours.contribution, one.contribution)
+
+
+def test_what_is_too_large_together_is_drawn_one_after_the_other(
+    submissions: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth, held = rasteriser().load(plates()), copies(3)
+    right = [alone(truth, copy, SERVER) for copy in held]
+    real = Workspace.reserve
+
+    def narrow(self: Workspace, splats: int, **asked: object) -> None:
+        if splats > len(truth):
+            raise TooLargeError("no room for two")
+        real(self, splats, **asked)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Workspace, "reserve", narrow)
+    workspace = keeper().current()
+    assert workspace is not None
+    submissions.clear()
+    made = at_once([truth] * 3, held, [SERVER] * 3)
+    assert len(submissions) == 3
+    for ours, one in zip(made, right, strict=True):
+        np.testing.assert_array_equal(ours.lack, one.lack)
+
+
+def test_pictures_of_layers_that_are_looked_at_late_are_their_own() -> None:
+    truth, held = rasteriser().load(plates()), copies(3)
+
+    def one(copy: GpuScene) -> DeviceViews:
+        made = truth.compared(copy, SERVER, OPTIONS, knee=0.1, looks=())
+        assert made is not None
+        return made
+
+    with ThreadPoolExecutor(3) as pool:
+        with held_up(truth, 3):
+            futures = [pool.submit(one, copy) for copy in held]
+        made = [future.result(60) for future in futures]
+    later = at_once([truth] * 3, held[::-1], [aside(4)] * 3)
+    for ours, copy in zip(made, held, strict=True):
+        np.testing.assert_allclose(ours.lack, staged(truth, copy).lack, atol=STEP_LACK)
+    assert len(later) == 3
+
+
+def test_a_device_that_is_lost_fails_none_of_those_that_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cags_gpu.keeper.FIRST_DELAY_S", 60.0)
+    other = Keeper(any_gpu)
+    workspace = other.current()
+    assert workspace is not None
+    truth, held = scenes(other)
+    with ThreadPoolExecutor(4) as pool:
+        with workspace.gpu.lock:
+            asked = [pool.submit(truth.compared, held, SERVER, OPTIONS, knee=0.1, looks=(Look.LACK,)) for _ in range(4)]
+            while len(other.comparisons._waiting) < 4:
+                time.sleep(0.001)
+            workspace.gpu.destroy()
+        assert [future.result(60) for future in asked] == [None] * 4
+    assert not other.comparisons._waiting
+    other.close()
+
+
+@pytest.mark.parametrize(
+    ("splats", "binding", "layers"),
+    [(1, 1 << 27, 16), (1_000_000, 1 << 27, 4), (1 << 22, 1 << 27, 1), (9 << 20, 1 << 40, 1)],
+)
+def test_layers_are_as_many_as_a_devices_buffers_hold(splats: int, binding: int, layers: int) -> None:
+    assert most_layers(splats, binding) == layers

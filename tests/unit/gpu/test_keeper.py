@@ -75,19 +75,19 @@ def test_a_device_lost_in_a_frame_that_is_made_in_one_go(own: Keeper, monkeypatc
     before = truth.frame(camera(), OPTIONS, None)
     assert before is not None
     painter, canvas = Painter(1), Canvas(truth, 0, camera(), False, OPTIONS)
-    real = ResidentScene.record_into
+    real = ResidentScene.put_in_order
 
     def destroyed(self: ResidentScene, *arguments: Any, **named: Any) -> None:
         real(self, *arguments, **named)
         self.gpu.device.destroy()
 
-    monkeypatch.setattr(ResidentScene, "record_into", destroyed)
+    monkeypatch.setattr(ResidentScene, "put_in_order", destroyed)
     meanwhile = painter.paint(canvas, None, Stopwatch(lambda: 0.0))
     assert np.abs(meanwhile.rgb - before.rgb).max() <= 0.5 / 255 + 1e-4
     assert truth.compared(held, camera(), OPTIONS, knee=0.1, looks=()) is None
     awaited(own)
     assert truth.compared(held, camera(), OPTIONS, knee=0.1, looks=()) is None, "lost in mid-comparison"
-    monkeypatch.setattr(ResidentScene, "record_into", real)
+    monkeypatch.setattr(ResidentScene, "put_in_order", real)
     awaited(own)
     assert truth.compared(held, camera(), OPTIONS, knee=0.1, looks=()) is not None
     after = truth.frame(camera(), OPTIONS, None)

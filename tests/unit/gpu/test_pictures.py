@@ -144,7 +144,7 @@ def test_nothing_comes_back_but_the_picture_until_it_is_looked_at(monkeypatch: p
     real = submission._read
 
     def counted(workspace: Workspace, recording: submission.Recording, wanted: submission.Outputs) -> object:
-        read.append(sum(size for _, size in wanted))
+        read.append(sum(output.size for output in wanted))
         return real(workspace, recording, wanted)
 
     monkeypatch.setattr(submission, "_read", counted)

@@ -19,7 +19,7 @@ from cags_gpu.graph import buffer_bytes
 from cags_gpu.keeper import Keeper
 from cags_gpu.raster import GpuRasteriser, GpuScene
 from cags_gpu.scene import ResidentScene
-from cags_gpu.submission import Outputs, Recording, submitted
+from cags_gpu.submission import Output, Outputs, Recording, submitted
 from cags_gpu.workspace import LEAST_CAPACITY
 from support.gpu import any_gpu, keeper, needs_adapter, rasteriser
 from support.raster_scenes import F, camera, psnr_db, random_splats, splat, tilted_camera
@@ -242,7 +242,8 @@ def _ordering_depths(scene: ResidentScene, camera: Camera) -> tuple[np.ndarray, 
 
     def record(recording: Recording) -> Outputs:
         scene.record_binning(recording, camera, EXACT)
-        return [(scene.workspace["touched"], 4 * scene.count), (scene.workspace["records"], 32 * scene.count)]
+        sizes = {"touched": 4 * scene.count, "records": 32 * scene.count}
+        return [Output(scene.workspace[name], size) for name, size in sizes.items()]
 
     touched, records = submitted(scene.workspace, record)
     return touched.view(np.uint32) > 0, records.view(F).reshape(-1, 8)[:, 5]

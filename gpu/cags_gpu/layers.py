@@ -1,0 +1,77 @@
+"""Several views of one size, drawn together as layers.
+
+A small view hardly occupies a device: its time goes into dispatches that wait for one another, and into recording
+them. Sixteen views cost few more dispatches than one. Splats, tiles and pixels of each layer follow those of the layer
+before; sorts are stable, and tiles are each layer's own, so that every picture has the bits of one drawn alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from cags_common.geometry import Camera
+from cags_common.raster.base import RenderOptions
+from cags_gpu.device import Handle
+from cags_gpu.graph import MAX_GROUPS, Dispatch, build, encode
+from cags_gpu.layout import VIEW
+from cags_gpu.scene import ResidentScene, Target, packed, view_counts
+from cags_gpu.submission import Recording
+from cags_gpu.workspace import LAYERS, VIEW_BYTES
+
+SPLATS_A_GROUP = 256
+RECORD_BYTES = 32
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """A view to draw. All layers have pictures of one size, scenes of as many splats, and the same options but for
+    their footprints.
+    """
+
+    scene: ResidentScene
+    camera: Camera
+    options: RenderOptions
+
+
+def most_layers(splats: int, binding_bytes: int) -> int:
+    """How many layers of as many splats a device draws together; at least one."""
+    return max(1, min(LAYERS, binding_bytes // (RECORD_BYTES * splats), MAX_GROUPS * SPLATS_A_GROUP // splats))
+
+
+def record_layers(recording: Recording, target: Target, layers: Sequence[Layer], first_view: int = 0) -> None:
+    """Record ``layers``: afterwards the target holds their pictures and depths, and the workspace contributions.
+
+    ``first_view``: the workspace's views from there on are used; one recording may not use any of them twice.
+    """
+    front = layers[0]
+    workspace, options, splats = front.scene.workspace, front.options, front.scene.count
+    exact = not packed(options)
+    workspace.reserve(len(layers) * splats, exact=exact)
+    views = bytearray()
+    for k, layer in enumerate(layers):
+        at = len(views)
+        views += layer.scene.view_bytes(layer.camera, layer.options, len(layers)).ljust(VIEW_BYTES, b"\0")
+        VIEW.put(views, at, "base", k * splats)
+    for scene in dict.fromkeys(layer.scene for layer in layers):
+        scene.put_in_order(recording)
+    workspace.gpu.device.queue.write_buffer(workspace.views, first_view * VIEW_BYTES, views)
+    for k, layer in enumerate(layers):
+        encode(recording.encoder, layer.scene.layer_steps(k * splats, workspace.view(first_view + k), exact=exact))
+    encode(recording.encoder, _draw_steps(target, front, len(layers), first_view))
+
+
+def _draw_steps(target: Target, front: Layer, layers: int, first_view: int) -> list[Dispatch]:
+    """What follows the projection; ``front``: any of the layers."""
+    workspace, counting = front.scene.workspace, front.options.contribution
+    splats = front.scene.count
+    flags = {"packed": packed(front.options), "compact": False, "slots": counting, "contribution": counting}
+    counts = workspace.counts | view_counts(front.camera, layers) | {"splats": layers * splats}
+
+    def find(name: str) -> Handle:
+        if name == "view":
+            return workspace.view(first_view)
+        return target[name] if name in target else workspace["layer_order" if name == "by_hash" else name]
+
+    key = ("layers", layers, splats, first_view, *flags.values())
+    return target.steps(workspace.version, key, lambda: build(workspace.gpu, "draw", counts, flags, find))
