@@ -112,7 +112,7 @@ def why_unavailable() -> str:
 
 
 class Gpu:
-    """A device with its pipelines. ``lock`` is held while a frame is recorded, submitted and read."""
+    """A device with its pipelines. ``lock`` is held while a frame is recorded and submitted."""
 
     def __init__(self, software: bool | None = None, name: str | None = None, *, timestamps: bool = True) -> None:
         self.info, self._adapter = choose(software, name)
@@ -135,22 +135,27 @@ class Gpu:
 
     @contextmanager
     def used(self) -> Iterator[None]:
-        """Hold the device for a frame. Raises :class:`DeviceLostError` where it is gone or out of memory.
+        """Hold the device while a frame is recorded. Raises :class:`DeviceLostError` where it is gone or out of memory.
 
         Other faults of wgpu are defects of the program and pass as they are.
         """
+        with self.lock, self.watched():
+            yield
+
+    @contextmanager
+    def watched(self) -> Iterator[None]:
+        """As :meth:`used`, beside others that use it: to wait for it, and to read what it has done."""
         import wgpu
 
-        with self.lock:
-            if self.lost:
-                raise DeviceLostError(f"{self.info} was lost")
-            try:
-                yield
-            except (wgpu.GPUError, RuntimeError) as error:
-                if not self.lost and not _tells_of_loss(error):
-                    raise
-                self.lost = True
-                raise DeviceLostError(f"{self.info} was lost: {_first_line(error)}") from error
+        if self.lost:
+            raise DeviceLostError(f"{self.info} was lost")
+        try:
+            yield
+        except (wgpu.GPUError, RuntimeError) as error:
+            if not self.lost and not _tells_of_loss(error):
+                raise
+            self.lost = True
+            raise DeviceLostError(f"{self.info} was lost: {_first_line(error)}") from error
 
     def buffer(self, size: int, *, uniform: bool = False, indirect: bool = False) -> Handle:
         """A buffer of at least 16 bytes that shaders read and write, or (``uniform``) only read."""

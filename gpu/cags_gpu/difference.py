@@ -6,8 +6,9 @@ and the others find theirs done.
 
 from __future__ import annotations
 
+import logging
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
@@ -25,14 +26,19 @@ from cags_gpu.graph import build, encode
 from cags_gpu.layers import Layer, most_layers, record_layers
 from cags_gpu.layout import COMPAND
 from cags_gpu.scene import KEPT_TARGETS, SceneOnDevice, Target
-from cags_gpu.submission import Output, Outputs, Recording, read_back, submitted
+from cags_gpu.submission import Output, Outputs, Recording, Submission, read_back, submitted
 from cags_gpu.workspace import LAYERS, TooLargeError, Workspace
+
+_log = logging.getLogger(__name__)
 
 Bytes: TypeAlias = NDArray[np.uint8]
 
 BUFFERS = {Look.TRUTH: "truth_seen", Look.LACK: "lack_seen", Look.COMPANDED: "coded_seen"}
-SEEN_BYTES = 8
-"""Of a pixel: three channels of 16 bits, and 16 to spare."""
+SEEN_BYTES = 12
+"""Of a pixel: three floats."""
+
+IN_FLIGHT = 3
+"""Submissions on their way: while the device draws one, the next is recorded, and the last is read."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,16 +79,14 @@ class DeviceViews:
 
     def __init__(self, job: Comparison, workspace: Workspace, target: Target, layer: int) -> None:
         self._job, self._workspace, self._target, self._layer = job, workspace, target, layer
-        self._come: dict[Look, Bytes] = {}
         self._read: dict[Look, F32] = {}
         self.depth: F32 = np.zeros((0, 0), np.float32)
         self.contribution: F32 = np.zeros(0, np.float32)
 
     def take(self, seen: Sequence[Bytes], depth: Bytes, contribution: Bytes) -> None:
         """What has come: the pictures that were asked for, the mirror's depth, the truth's contributions."""
-        self._come = dict(zip(self._job.looks, seen, strict=True))
-        camera = self._job.camera
-        self.depth = depth.view(np.float32).reshape(camera.height_px, camera.width_px)
+        self._read = {look: self._picture(come) for look, come in zip(self._job.looks, seen, strict=True)}
+        self.depth = depth.view(np.float32).reshape(self._shape)
         self.contribution = contribution.view(np.float32)
 
     @property
@@ -101,16 +105,21 @@ class DeviceViews:
 
     def _seen(self, look: Look) -> F32:
         if look not in self._read:
-            come = self._come.pop(look, None)
-            if come is None:
-                size = SEEN_BYTES * self._job.pixels
-                try:
-                    with self._workspace.gpu.used():
-                        come = read_back(self._workspace, self._target[BUFFERS[look]], size, self._layer * size)
-                except DeviceLostError:
-                    return self._anew[look]
-            self._read[look] = self._unpacked(look, come)
+            size = SEEN_BYTES * self._job.pixels
+            try:
+                with self._workspace.gpu.used():
+                    come = read_back(self._workspace, self._target[BUFFERS[look]], size, self._layer * size)
+            except DeviceLostError:
+                return self._anew[look]
+            self._read[look] = self._picture(come)
         return self._read[look]
+
+    @property
+    def _shape(self) -> tuple[int, int]:
+        return self._job.camera.height_px, self._job.camera.width_px
+
+    def _picture(self, come: Bytes) -> F32:
+        return come.view(np.float32).reshape(*self._shape, 3)
 
     @cached_property
     def _anew(self) -> dict[Look, F32]:
@@ -122,32 +131,30 @@ class DeviceViews:
         lack = truth - held
         return {Look.TRUTH: truth, Look.LACK: lack, Look.COMPANDED: compand_by_table(lack, job.knee)}
 
-    def _unpacked(self, look: Look, read: Bytes) -> F32:
-        camera = self._job.camera
-        kind, most = (np.int16, 32767) if look is Look.LACK else (np.uint16, 65535)
-        words = read.view(kind).reshape(camera.height_px, camera.width_px, 4)[..., :3]
-        return np.multiply(words, np.float32(1 / most), dtype=np.float32)
-
 
 @dataclass(eq=False)
 class _Waiting:
     job: Comparison
     views: DeviceViews | None = None
+    done: bool = False
+    """Whether the views are there, or were lost with the device."""
     turn: threading.Event = field(default_factory=threading.Event)
-    """Set once the views are there, or it is this one's turn to draw."""
+    """Set once it is done, or it is this one's turn to draw."""
 
 
 class Comparisons:
     """Comparisons that wait for the device, and the buffers of their pictures. Safe to use from several threads.
 
-    One thread draws at a time. It wakes those whose views it made, and the first of the others to draw next; they do
-    not wait for the device's lock, behind which those that are done would stand in the way of those to be drawn.
+    One thread records at a time, as much as can be drawn together, and wakes the first of the others to record next.
+    Then it reads what was drawn, and wakes those whose views it made. Nobody waits for the device's lock before its
+    turn: there those that are done would stand in the way of those to be drawn.
     """
 
     def __init__(self) -> None:
         self._waiting: list[_Waiting] = []
-        self._drawing = False
+        self._recording = False
         self._lock = threading.Lock()
+        self._flying = threading.BoundedSemaphore(IN_FLIGHT)
         self._most = LAYERS
         self._targets: list[tuple[Workspace, tuple[int, int, int, str], Target]] = []  # least recently used first
 
@@ -156,41 +163,49 @@ class Comparisons:
         mine = _Waiting(job)
         with self._lock:
             self._waiting.append(mine)
-            leads, self._drawing = not self._drawing, True
+            leads, self._recording = not self._recording, True
         if not leads:
             mine.turn.wait()
-        if mine.views is not None:
-            return mine.views
+        if not mine.done:
+            with self._flying:
+                self._make(mine)
+        return mine.views
+
+    def _make(self, mine: _Waiting) -> None:
         try:
-            return job.truth.on_device(lambda truth: self._drawn(mine, truth.workspace), lambda _: None)
+            flight = mine.job.truth.on_device(lambda truth: self._begun(mine, truth.workspace), lambda _: None)
         finally:
             self._pass_on(mine)
+        if flight is None:
+            return
+        try:
+            flight.land()
+        except (DeviceLostError, TooLargeError) as error:
+            _log.info("comparisons are made one by one: %s", error)
+        finally:
+            for waiting in flight.waiting:
+                waiting.done = True
+                waiting.turn.set()
 
     def _pass_on(self, mine: _Waiting) -> None:
         with self._lock:
             self._waiting = [other for other in self._waiting if other is not mine]
-            self._drawing = bool(self._waiting)
+            self._recording = bool(self._waiting)
             if self._waiting:
                 self._waiting[0].turn.set()
 
-    def _drawn(self, mine: _Waiting, workspace: Workspace) -> DeviceViews:
+    def _begun(self, mine: _Waiting, workspace: Workspace) -> _Flight:
         """Called with the device's lock held."""
         together = self._together(mine, workspace)
         try:
-            self._draw(together, workspace)
-        except TooLargeError:
-            if len(together) == 1:
-                raise
-            self._most = len(together) // 2
-            self._draw([mine], workspace)
-        finally:
+            return _Flight(together, workspace, self._spare)
+        except BaseException as error:
             with self._lock:
-                self._waiting[:0] = [other for other in together[1:] if other.views is None]
-        for other in together[1:]:
-            if other.views is not None:
-                other.turn.set()
-        assert mine.views is not None
-        return mine.views
+                self._waiting[:0] = together[1:]
+            if not isinstance(error, TooLargeError) or len(together) == 1:
+                raise
+        self._most = len(together) // 2
+        return _Flight([mine], workspace, self._spare)
 
     def _together(self, mine: _Waiting, workspace: Workspace) -> list[_Waiting]:
         """Take those out that can be drawn with ``mine``."""
@@ -203,32 +218,8 @@ class Comparisons:
             self._waiting = [other for other in self._waiting if other not in together]
         return together
 
-    def _draw(self, together: Sequence[_Waiting], workspace: Workspace) -> None:
-        jobs = [waiting.job for waiting in together]
-        count, front = len(jobs), jobs[0]
-        seen, mirror = (self._target(workspace, front.camera, count, role) for role in ("seen", "mirror"))
-        made = [DeviceViews(job, workspace, seen, layer) for layer, job in enumerate(jobs)]
-        seen.hold_for(*made)
-
-        def record(recording: Recording) -> Outputs:
-            # the mirror last and without contributions: those of the truth stay where they are
-            truths = [Layer(job.truth.on(workspace), job.camera, job.options) for job in jobs]
-            record_layers(recording, seen, truths)
-            copies = [Layer(job.held.on(workspace), job.camera, _of_the_copy(job.options)) for job in jobs]
-            record_layers(recording, mirror, copies, first_view=LAYERS)
-            _compand(recording, workspace, jobs, (seen, mirror))
-            pictures = [Output(seen[BUFFERS[look]], SEEN_BYTES * count * front.pixels, count) for look in front.looks]
-            contributions = Output(workspace["contribution"], 4 * count * len(front.truth), count)
-            return [*pictures, Output(mirror["depth"], 4 * count * front.pixels, count), contributions]
-
-        outputs = submitted(workspace, record)
-        for layer, (waiting, views) in enumerate(zip(together, made, strict=True)):
-            *pictures, depth, contribution = outputs[layer::count]
-            views.take(pictures, depth, contribution)
-            waiting.views = views
-
-    def _target(self, workspace: Workspace, camera: Camera, count: int, role: str) -> Target:
-        """Buffers of ``count`` or more pictures that nobody looks at any more."""
+    def _spare(self, workspace: Workspace, camera: Camera, count: int, role: str) -> Target:
+        """Buffers of ``count`` or more pictures that nobody looks at any more; called with the device's lock held."""
         room = 1 << (count - 1).bit_length()
         key = camera.width_px, camera.height_px, room, role
         spare = (t for w, k, t in self._targets if w is workspace and k == key and not t.held)
@@ -236,6 +227,50 @@ class Comparisons:
         kept = [held for held in self._targets if held[0] is workspace and held[2] is not found]
         self._targets = [*kept[-KEPT_TARGETS + 1 :], (workspace, key, found)]
         return found
+
+
+class _Flight:
+    """Comparisons that are drawn together, submitted."""
+
+    def __init__(
+        self, waiting: Sequence[_Waiting], workspace: Workspace, spare: Callable[[Workspace, Camera, int, str], Target]
+    ) -> None:
+        self.waiting, self._workspace = waiting, workspace
+        jobs, count = [one.job for one in waiting], len(waiting)
+        self._seen, self._mirror = (spare(workspace, jobs[0].camera, count, role) for role in ("seen", "mirror"))
+        self._made = [DeviceViews(job, workspace, self._seen, layer) for layer, job in enumerate(jobs)]
+        self._seen.hold_for(*self._made)
+        self._submission = Submission(workspace, self._recorded)
+
+    def land(self) -> None:
+        """Wait for the pictures and hand them out. Raises :class:`DeviceLostError` or :class:`TooLargeError`."""
+        gpu = self._workspace.gpu
+        with gpu.watched():
+            outputs, wanted = self._submission.read()
+        missed = wanted > self._submission.capacity
+        if missed or self._workspace.crowded(wanted):
+            with gpu.used():
+                self._workspace.grow(wanted)
+                if missed:
+                    outputs = submitted(self._workspace, self._recorded)
+        count = len(self.waiting)
+        for layer, (waiting, views) in enumerate(zip(self.waiting, self._made, strict=True)):
+            *pictures, depth, contribution = outputs[layer::count]
+            views.take(pictures, depth, contribution)
+            waiting.views = views
+
+    def _recorded(self, recording: Recording) -> Outputs:
+        workspace, jobs = self._workspace, [waiting.job for waiting in self.waiting]
+        count, front = len(jobs), jobs[0]
+        # the mirrors last and without contributions: those of the truths stay where they are
+        truths = [Layer(job.truth.on(workspace), job.camera, job.options) for job in jobs]
+        record_layers(recording, self._seen, truths)
+        copies = [Layer(job.held.on(workspace), job.camera, _of_the_copy(job.options)) for job in jobs]
+        record_layers(recording, self._mirror, copies, first_view=LAYERS)
+        _compand(recording, workspace, jobs, (self._seen, self._mirror))
+        pictures = [Output(self._seen[BUFFERS[look]], SEEN_BYTES * count * front.pixels, count) for look in front.looks]
+        contributions = Output(workspace["contribution"], 4 * count * len(front.truth), count)
+        return [*pictures, Output(self._mirror["depth"], 4 * count * front.pixels, count), contributions]
 
 
 def _of_the_copy(options: RenderOptions) -> RenderOptions:

@@ -1,4 +1,4 @@
-"""Frames recorded, submitted and read back at once."""
+"""Frames recorded, submitted and read back."""
 
 from __future__ import annotations
 
@@ -40,65 +40,85 @@ class Recording:
         self.once_drawn: list[Callable[[], None]] = []
 
 
+class Submission:
+    """Frames that are on their way: recorded and submitted with the device's lock held, read with or without it."""
+
+    def __init__(self, workspace: Workspace, record: Callable[[Recording], Outputs]) -> None:
+        """``record`` puts any number of frames into the recording; it may be called more than once."""
+        self._workspace = workspace
+        while True:
+            version = workspace.version
+            recording = Recording(workspace.gpu)
+            recording.encoder.clear_buffer(workspace["state"])
+            outputs = record(recording)
+            if workspace.version == version:
+                break  # else buffers were replaced: what was recorded before that refers to the old ones
+        self._noted, self.capacity = recording.once_drawn, workspace.counts["capacity"]
+        self._back = _submit(workspace, recording, [Output(workspace["state"], 16), *outputs])
+
+    def read(self) -> tuple[list[NDArray[np.uint8]], int]:
+        """Wait for the outputs; and how many entries the frames wanted at most: only with room for them are they right.
+
+        The arrays belong to the caller: those of each output in turn.
+        """
+        state, *read = _read(self._workspace, *self._back)
+        wanted = int(state.view(np.uint32)[3])
+        if wanted <= self.capacity:
+            for noted in self._noted:
+                noted()
+        return read, wanted
+
+
 def submitted(workspace: Workspace, record: Callable[[Recording], Outputs]) -> list[NDArray[np.uint8]]:
-    """Record, submit and read back; again with larger buffers where there were more entries than room for them.
+    """Record, submit and read; again with larger buffers where there were more entries than room for them.
 
-    The arrays belong to the caller: those of each output in turn.
-
-    ``record`` puts any number of frames into the recording; it may be called more than once.
+    Called with the device's lock held; otherwise as :class:`Submission`.
     """
     while True:
-        version = workspace.version
-        recording = Recording(workspace.gpu)
-        recording.encoder.clear_buffer(workspace["state"])
-        outputs = record(recording)
-        if workspace.version != version:
-            continue  # buffers were replaced: what was recorded before that refers to the old ones
-        state, *read = _read(workspace, recording, [Output(workspace["state"], 16), *outputs])
-        if workspace.grow(int(state.view(np.uint32)[3])):
-            for noted in recording.once_drawn:
-                noted()
+        read, wanted = Submission(workspace, record).read()
+        if workspace.grow(wanted):
             return read
 
 
 def read_back(workspace: Workspace, buffer: Handle, size: int, start: int = 0) -> NDArray[np.uint8]:
     """``size`` bytes of a buffer, once what was submitted before is done."""
-    (read,) = _read(workspace, Recording(workspace.gpu), [Output(buffer, size, start=start)])
+    (read,) = _read(workspace, *_submit(workspace, Recording(workspace.gpu), [Output(buffer, size, start=start)]))
     return read
 
 
-def _read(workspace: Workspace, recording: Recording, wanted: Outputs) -> list[NDArray[np.uint8]]:
-    """Bytes of several buffers through one that the host maps."""
-    import wgpu
-
-    total = sum(output.size for output in wanted)
-    through = workspace.readback(total)
+def _submit(workspace: Workspace, recording: Recording, wanted: Outputs) -> tuple[Handle, list[int]]:
+    """Bring several buffers into one that the host maps; that one, and where they and their parts begin and end."""
+    through = workspace.take_readback(sum(output.size for output in wanted))
     cuts = [0]
     for buffer, size, parts, start in wanted:
         recording.encoder.copy_buffer_to_buffer(buffer, start, through, cuts[-1], size)
         cuts += [cuts[-1] + size // parts * (part + 1) for part in range(parts)]
     workspace.gpu.device.queue.submit([recording.encoder.finish()])
-    through.map_sync(wgpu.MapMode.READ, 0, total)
+    return through, cuts
+
+
+def _read(workspace: Workspace, through: Handle, cuts: list[int]) -> list[NDArray[np.uint8]]:
+    import wgpu
+
+    through.map_sync(wgpu.MapMode.READ, 0, cuts[-1])
     try:
-        return _copied(np.frombuffer(through.read_mapped(0, total, copy=False), np.uint8), cuts)
+        return _copied(np.frombuffer(through.read_mapped(0, cuts[-1], copy=False), np.uint8), cuts)
     finally:
         through.unmap()
+        workspace.give_readback(through)
 
 
 def _copied(mapped: NDArray[np.uint8], cuts: Sequence[int]) -> list[NDArray[np.uint8]]:
-    """Arrays of what lies between ``cuts``. numpy's, because its large ones use huge pages, which makes their first use
-    much faster; by several threads, because one alone takes longer than the device to draw.
+    """Arrays of what lies between ``cuts``: parts of one, because numpy's large arrays use huge pages, which makes
+    their first use much faster; copied by several threads, because one alone takes longer than the device to draw.
     """
-    copies = [np.empty(end - begin, np.uint8) for begin, end in pairwise(cuts)]
-    pieces = [
-        (copy[at : at + PIECE_BYTES], mapped[begin + at : begin + at + PIECE_BYTES][: len(copy) - at])
-        for copy, begin in zip(copies, cuts, strict=False)
-        for at in range(0, len(copy), PIECE_BYTES)
-    ]
-    run = map if cuts[-1] <= PIECE_BYTES else _copiers().map
+    copy = np.empty(cuts[-1], np.uint8)
+    starts = range(0, cuts[-1], PIECE_BYTES)
+    pieces = [(copy[at : at + PIECE_BYTES], mapped[at : at + PIECE_BYTES]) for at in starts]
+    run = map if len(pieces) == 1 else _copiers().map
     for _ in run(np.copyto, *zip(*pieces, strict=True)):
         pass
-    return copies
+    return [copy[begin:end] for begin, end in pairwise(cuts)]
 
 
 @cache

@@ -128,10 +128,10 @@ def read_back_bytes(counts: FrameCounts, *, in_one_go: bool) -> int:
 
 
 def compared_bytes(counts: FrameCounts, *, in_one_go: bool) -> int:
-    """Bytes that come down for a server's reference: the difference in 16 bits, before and after the compander; else
-    two pictures with opacity. And contributions.
+    """Bytes that come down for a server's reference: the difference, before and after the compander; else two pictures
+    with opacity. And the mirror's depth, and contributions.
     """
-    return (16 if in_one_go else 32) * counts.reference_pixels + 4 * counts.splats
+    return (28 if in_one_go else 36) * counts.reference_pixels + 4 * counts.splats
 
 
 def visits(counts: FrameCounts, design: Design | None = None) -> int:

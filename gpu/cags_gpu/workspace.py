@@ -31,7 +31,7 @@ class Workspace:
     def __init__(self, gpu: Gpu) -> None:
         self.gpu = gpu
         self._buffers: dict[str, Handle] = {}
-        self._readback: Handle = None
+        self._readbacks: list[Handle] = []
         self.views = gpu.buffer(2 * LAYERS * VIEW_BYTES, uniform=True)
         """Cameras of layers: of two drawings in one submission."""
         self.version = 0
@@ -49,10 +49,14 @@ class Workspace:
         self._buffers.clear()
         self.version += 1
 
+    def crowded(self, wanted: int) -> bool:
+        """Whether there is room for hardly more entries, or not even for as many."""
+        return wanted > CROWDED * self.counts["capacity"]
+
     def grow(self, wanted: int) -> bool:
         """Grow for frames that want as many entries; whether the frame that did fitted."""
         fitted = wanted <= self.counts["capacity"]
-        if wanted > CROWDED * self.counts["capacity"]:
+        if self.crowded(wanted):
             most = self.gpu.max_binding_bytes // 4
             self.reserve(1, exact=False, capacity=max(wanted, min(int(wanted * HEADROOM), most)))
         return fitted
@@ -68,14 +72,21 @@ class Workspace:
         """One of :attr:`views`, to be bound."""
         return {"buffer": self.views, "offset": number * VIEW_BYTES, "size": VIEW.size}
 
-    def readback(self, size: int) -> Handle:
-        """A buffer of at least ``size`` bytes that the host maps."""
+    def take_readback(self, size: int) -> Handle:
+        """A buffer of at least ``size`` bytes that the host maps; called with the device's lock held."""
         import wgpu
 
-        if self._readback is None or self._readback.size < size:
-            usage = wgpu.BufferUsage.MAP_READ | wgpu.BufferUsage.COPY_DST
-            self._readback = self.gpu.device.create_buffer(size=size, usage=usage)
-        return self._readback
+        found = next((buffer for buffer in self._readbacks if buffer.size >= size), None)
+        if found is not None:
+            self._readbacks.remove(found)
+            return found
+        self._readbacks.clear()  # smaller ones
+        usage = wgpu.BufferUsage.MAP_READ | wgpu.BufferUsage.COPY_DST
+        return self.gpu.device.create_buffer(size=size, usage=usage)
+
+    def give_readback(self, buffer: Handle) -> None:
+        """It has been read."""
+        self._readbacks.append(buffer)
 
     def _check(self, counts: dict[str, int]) -> None:
         sizes = buffer_bytes("work", counts)

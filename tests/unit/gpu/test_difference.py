@@ -27,8 +27,8 @@ from support.gpu import any_gpu, keeper, needs_adapter, rasteriser
 pytestmark = needs_adapter
 
 OPTIONS = replace(EXACT, contribution=True)
-STEP_LACK, STEP_SEEN = 0.5 / 32767 + 1e-6, 0.5 / 65535 + 1e-6
-"""Rounding to 16 bits, and single precision."""
+STEP = 1e-6
+"""Single precision."""
 
 
 def scenes(keeper: Keeper | None = None) -> tuple[GpuScene, GpuScene]:
@@ -53,8 +53,8 @@ def test_the_pictures_are_those_of_two_renders_whichever_come_first(looks: tuple
     truth, held = scenes()
     assert isinstance(truth, ComparingScene)
     ours, right = compared(truth, held, *looks), staged(truth, held)
-    np.testing.assert_allclose(ours.truth, right.truth, atol=STEP_SEEN)
-    np.testing.assert_allclose(ours.lack, right.lack, atol=STEP_LACK)
+    np.testing.assert_allclose(ours.truth, right.truth, atol=STEP)
+    np.testing.assert_allclose(ours.lack, right.lack, atol=STEP)
     for knee in (0.1, 0.03):
         np.testing.assert_allclose(ours.companded(knee), right.companded(knee), atol=2e-3)
     assert np.abs(right.lack).max() > 0.05
@@ -64,23 +64,30 @@ def test_the_pictures_are_those_of_two_renders_whichever_come_first(looks: tuple
     np.testing.assert_array_equal(ours.depth, depth)
 
 
-def test_one_submission_brings_what_was_asked_for_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    read: list[int] = []
-    real = submission._read
+@pytest.fixture
+def submissions(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Bytes that each submission brought."""
+    brought: list[int] = []
+    real = submission._submit
 
     def counted(workspace: Workspace, recording: submission.Recording, wanted: submission.Outputs) -> object:
-        read.append(sum(output.size for output in wanted))
+        brought.append(sum(output.size for output in wanted))
         return real(workspace, recording, wanted)
 
-    monkeypatch.setattr(submission, "_read", counted)
+    monkeypatch.setattr(submission, "_submit", counted)
+    return brought
+
+
+def test_one_submission_brings_what_was_asked_for_and_no_more(submissions: list[int]) -> None:
     truth, held = scenes()
     ours = compared(truth, held, Look.LACK, Look.COMPANDED)
     pixels = SERVER.width_px * SERVER.height_px
-    assert read == [16 + 16 * pixels + 4 * pixels + 4 * len(truth)], "the state, two pictures, the depth, contributions"
+    brought = 16 + 24 * pixels + 4 * pixels + 4 * len(truth)
+    assert submissions == [brought], "the state, two pictures, the depth, contributions"
     assert ours.companded(0.1).shape == ours.lack.shape
-    assert len(read) == 1
+    assert len(submissions) == 1
     assert ours.truth.shape == ours.lack.shape
-    assert read[1:] == [8 * pixels]
+    assert submissions[1:] == [12 * pixels]
 
 
 @pytest.mark.parametrize("crowded", ["truth", "mirror"])
@@ -112,7 +119,7 @@ def test_what_is_looked_at_late_is_what_was_drawn() -> None:
     grey.sh0[:] = 0.0
     truth.update(np.arange(len(truth)), grey)
     second = compared(truth, held)
-    np.testing.assert_allclose(first.lack, now, atol=STEP_LACK)
+    np.testing.assert_allclose(first.lack, now, atol=STEP)
     assert np.abs(second.lack - first.lack).max() > 0.1
 
 
@@ -192,20 +199,6 @@ def alone(truth: GpuScene, copy: GpuScene, camera: Camera) -> DeviceViews:
     return made
 
 
-@pytest.fixture
-def submissions(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Bytes that each submission brought."""
-    brought: list[int] = []
-    real = submission._read
-
-    def counted(workspace: Workspace, recording: submission.Recording, wanted: submission.Outputs) -> object:
-        brought.append(sum(output.size for output in wanted))
-        return real(workspace, recording, wanted)
-
-    monkeypatch.setattr(submission, "_read", counted)
-    return brought
-
-
 @pytest.mark.parametrize("clients", [2, 5, LAYERS, LAYERS + 3])
 def test_those_that_wait_are_drawn_together_and_have_the_same_bits(clients: int, submissions: list[int]) -> None:
     truths = [rasteriser().load(plates()), rasteriser().load(plates().take(np.arange(460)[::-1]))]
@@ -275,7 +268,7 @@ def test_pictures_of_layers_that_are_looked_at_late_are_their_own() -> None:
         made = [future.result(60) for future in futures]
     later = at_once([truth] * 3, held[::-1], [aside(4)] * 3)
     for ours, copy in zip(made, held, strict=True):
-        np.testing.assert_allclose(ours.lack, staged(truth, copy).lack, atol=STEP_LACK)
+        np.testing.assert_allclose(ours.lack, staged(truth, copy).lack, atol=STEP)
     assert len(later) == 3
 
 

@@ -141,13 +141,13 @@ def test_of_an_exact_frame_no_bit_is_lost() -> None:
 
 def test_nothing_comes_back_but_the_picture_until_it_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
     read: list[int] = []
-    real = submission._read
+    real = submission._submit
 
     def counted(workspace: Workspace, recording: submission.Recording, wanted: submission.Outputs) -> object:
         read.append(sum(output.size for output in wanted))
         return real(workspace, recording, wanted)
 
-    monkeypatch.setattr(submission, "_read", counted)
+    monkeypatch.setattr(submission, "_submit", counted)
     scene, correction = rasteriser().load(plates()), given(picture(), changed=discs(9, -2.2))
     ours = made(scene, correction)
     assert ours.rgb.shape == (64, 96, 3)

@@ -92,8 +92,8 @@ def test_estimates_follow_work_and_device() -> None:
     assert half.scaled(150_000).entries == 2 * COUNTS.entries
 
 
-def test_a_frame_in_one_go_brings_down_a_fifth_and_a_reference_half_of_its_pictures() -> None:
+def test_what_is_made_in_one_go_brings_down_less() -> None:
     assert read_back_bytes(COUNTS, in_one_go=True) * 5 == read_back_bytes(COUNTS, in_one_go=False)
     of_splats = 4 * COUNTS.splats
     one, two = (compared_bytes(COUNTS, in_one_go=way) - of_splats for way in (True, False))
-    assert 2 * one == two > 0
+    assert 9 * one == 7 * two > 0
