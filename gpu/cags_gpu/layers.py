@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 from cags_common.geometry import Camera
 from cags_common.raster.base import RenderOptions
@@ -56,9 +57,11 @@ def record_layers(recording: Recording, target: Target, layers: Sequence[Layer],
     for scene in dict.fromkeys(layer.scene for layer in layers):
         scene.put_in_order(recording)
     workspace.gpu.device.queue.write_buffer(workspace.views, first_view * VIEW_BYTES, views)
-    for k, layer in enumerate(layers):
-        encode(recording.encoder, layer.scene.layer_steps(k * splats, workspace.view(first_view + k), exact=exact))
-    encode(recording.encoder, _draw_steps(target, front, len(layers), first_view))
+    steps = [
+        layer.scene.layer_steps(k * splats, workspace.view(first_view + k), exact=exact)
+        for k, layer in enumerate(layers)
+    ]
+    encode(recording.encoder, chain(*steps, _draw_steps(target, front, len(layers), first_view)))
 
 
 def _draw_steps(target: Target, front: Layer, layers: int, first_view: int) -> list[Dispatch]:
