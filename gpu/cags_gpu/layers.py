@@ -15,7 +15,7 @@ from cags_common.geometry import Camera
 from cags_common.raster.base import RenderOptions
 from cags_gpu.device import Handle
 from cags_gpu.graph import MAX_GROUPS, Dispatch, build, encode
-from cags_gpu.layout import VIEW
+from cags_gpu.layout import COUNT, VIEW
 from cags_gpu.scene import ResidentScene, Target, packed, view_counts
 from cags_gpu.submission import Recording
 from cags_gpu.workspace import LAYERS, VIEW_BYTES
@@ -54,14 +54,36 @@ def record_layers(recording: Recording, target: Target, layers: Sequence[Layer],
         at = len(views)
         views += layer.scene.view_bytes(layer.camera, layer.options, len(layers)).ljust(VIEW_BYTES, b"\0")
         VIEW.put(views, at, "base", k * splats)
-    for scene in dict.fromkeys(layer.scene for layer in layers):
-        scene.put_in_order(recording)
     workspace.gpu.device.queue.write_buffer(workspace.views, first_view * VIEW_BYTES, views)
     steps = [
         layer.scene.layer_steps(k * splats, workspace.view(first_view + k), exact=exact)
         for k, layer in enumerate(layers)
     ]
-    encode(recording.encoder, chain(*steps, _draw_steps(target, front, len(layers), first_view)))
+    order = _order(recording, target, layers)
+    encode(recording.encoder, chain(*order, *steps, _draw_steps(target, front, len(layers), first_view)))
+
+
+def _order(recording: Recording, target: Target, layers: Sequence[Layer]) -> list[list[Dispatch]]:
+    """What puts the layers in the order of their splats' contents. Several that have just changed are sorted together,
+    into an order in which layers lie between one another; the sort by depth keeps it within each. A scene that is drawn
+    again as it is gets an order of its own, which lasts.
+    """
+    workspace, splats = layers[0].scene.workspace, layers[0].scene.count
+    scenes = dict.fromkeys(layer.scene for layer in layers)
+    together = sum(scene.restless() for scene in scenes) > 1
+    if not together:
+        for scene in scenes:
+            scene.put_in_order(recording)
+    steps = [layer.scene.layer_order_steps(k * splats, together=together) for k, layer in enumerate(layers)]
+    if together:
+        total = len(layers) * splats
+        named = {"count_job": workspace.gpu.uniform(COUNT.pack(count=total))}
+
+        def make() -> list[Dispatch]:
+            return build(workspace.gpu, "order", {"splats": total}, {}, lambda name: named.get(name) or workspace[name])
+
+        steps.append(target.steps(workspace.version, ("order", total), make))
+    return steps
 
 
 def _draw_steps(target: Target, front: Layer, layers: int, first_view: int) -> list[Dispatch]:

@@ -189,6 +189,7 @@ class ResidentScene:
         self._unsorted = True
         self._recorded: dict[object, list[Dispatch]] = {}
         self._recorded_for = -1
+        self._asked_at = -1
         self.change(Columns.of(np.arange(self.count), splats))
 
     def _chunked(self) -> list[Chunk]:
@@ -291,22 +292,38 @@ class ResidentScene:
         seen = replace(options, contribution=False, depth=DepthKind.NONE)  # which truth and mirror have in common
         return view_bytes(camera, seen, **counted, capacity=self.workspace.counts["capacity"], layers=layers)
 
+    def restless(self) -> bool:
+        """Whether the order of the splats' contents is not known, and they have changed since this was last asked."""
+        asked, self._asked_at = self._asked_at, self.changes
+        return self._unsorted and asked != self.changes
+
     def put_in_order(self, recording: Recording) -> None:
         """Record the sort by content, if splats have changed."""
         if self._unsorted:
             encode(recording.encoder, self._own_steps("hash", self._hash_steps))
             recording.once_drawn.append(self._is_sorted)
 
+    def layer_order_steps(self, base: int, *, together: bool) -> list[Dispatch]:
+        """Put the scene's order into the layer that begins at splat ``base`` of the workspace; or (``together``) its
+        contents, for all layers to be sorted together.
+        """
+
+        def make() -> list[Dispatch]:
+            named = {"count_job": self.gpu.uniform(COUNT.pack(count=self.count, base=base))}
+            graph = "gathered" if together else "layer"
+            return build(self.gpu, graph, {"layer_splats": self.count}, {}, lambda name: self._find(name, named))
+
+        return self._own_steps(("order", base, together), make)
+
     def layer_steps(self, base: int, view: Handle, *, exact: bool) -> list[Dispatch]:
-        """Project the scene into the layer that begins at splat ``base`` of the workspace, and note its order there.
+        """Project the scene into the layer that begins at splat ``base`` of the workspace.
 
         ``view`` is one of the workspace's, and always the same for a ``base`` and ``exact``.
         """
 
         def make() -> list[Dispatch]:
-            named = {"view": view, "count_job": self.gpu.uniform(COUNT.pack(count=self.count, base=base))}
-            steps = build(self.gpu, "layer", {"layer_splats": self.count}, {}, lambda name: self._find(name, named))
-            return steps + self._project_steps({"packed": not exact}, named)
+            named = {"view": view, "ranks": self.workspace["layer_ranks"]}
+            return self._project_steps({"packed": not exact}, named)
 
         return self._own_steps(("layer", base, view["offset"], exact), make)
 

@@ -19,8 +19,19 @@ fn flat(id: vec3<u32>, groups: vec3<u32>) -> u32 { return id.y * groups.x * 256u
   kept[i] = indices[i];  // the sort's own buffers are used again in every frame
 }
 
-// The order of a layer, after those of the layers before.
+// The order of a layer that is in order by itself, after those of the layers before; and the ranks.
 @compute @workgroup_size(256) fn layer(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
   let i = flat(id, groups);
-  if (i < job.count) { to[job.base + i] = job.base + indices[i]; }
+  if (i >= job.count) { return; }
+  let splat = job.base + indices[i];
+  to[job.base + i] = splat;
+  kept[splat] = job.base + i;
+}
+
+// A layer that is to be sorted together with the others: its splats, and their hashes.
+@compute @workgroup_size(256) fn gathered(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+  let i = flat(id, groups);
+  if (i >= job.count) { return; }
+  to[job.base + i] = job.base + i;
+  kept[job.base + i] = indices[i];
 }

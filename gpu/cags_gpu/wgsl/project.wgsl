@@ -6,7 +6,7 @@ struct Chunk { first: u32, count: u32, unused_a: u32, unused_b: u32 }
 @group(0) @binding(2) var<storage, read> motion: array<vec4<f32>>;  // 2 a splat: mean and logit, quaternion
 @group(0) @binding(3) var<storage, read> looks: array<vec4<f32>>;   // 2 a splat: log scale, base colour
 @group(0) @binding(4) var<storage, read> sh_rest: array<f32>;       // [chunk.count][sh_count][3]
-@group(0) @binding(5) var<storage, read> ranks: array<u32>;         // of each splat in the order of content hashes
+@group(0) @binding(5) var<storage, read> ranks: array<u32>;         // of all layers' splats in the order of content hashes
 @group(0) @binding(6) var<storage, read_write> records: array<vec4<u32>>;
 @group(0) @binding(7) var<storage, read_write> colours: array<vec4<f32>>;
 @group(0) @binding(8) var<storage, read_write> keys: array<u32>;     // by rank: depth's bits, ABSENT where not drawn
@@ -67,7 +67,7 @@ fn touched_tiles(d: Drawn) -> u32 {
 @compute @workgroup_size(256) fn project(@builtin(global_invocation_id) id: vec3<u32>) {
   if (id.x >= chunk.count) { return; }
   let i = chunk.first + id.x;
-  let to = view.base + i; let rank = view.base + ranks[i];
+  let to = view.base + i; let rank = ranks[to];
   keys[rank] = ABSENT;
   touched[to] = 0u;
   let placed = motion[2u * i]; let q = normalize(motion[2u * i + 1u]);

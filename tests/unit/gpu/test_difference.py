@@ -14,6 +14,7 @@ import pytest
 from cags_common.correction import ComparingScene, Look, Reference, StagedViews
 from cags_common.geometry import Camera
 from cags_common.raster import DepthKind, Footprint, create
+from cags_common.splats import Splats
 from cags_gpu import submission
 from cags_gpu.correct import corrected
 from cags_gpu.difference import DeviceViews
@@ -23,6 +24,7 @@ from cags_gpu.raster import GpuRasteriser, GpuScene
 from cags_gpu.workspace import LAYERS, TooLargeError, Workspace
 from support.device_frames import CLIENT, EXACT, SERVER, plates
 from support.gpu import any_gpu, keeper, needs_adapter, rasteriser
+from support.raster_scenes import camera, random_splats
 
 pytestmark = needs_adapter
 
@@ -215,6 +217,31 @@ def test_those_that_wait_are_drawn_together_and_have_the_same_bits(clients: int,
                 np.testing.assert_array_equal(getattr(ours, name), getattr(one, name))
             np.testing.assert_array_equal(ours.companded(0.1), one.companded(0.1))
     assert np.abs(made[0].lack - made[1].lack).max() > 0.1
+
+
+def ties() -> Splats:
+    """Splats of three depths and many colours: which of them is in front hangs on their contents."""
+    splats = random_splats(300, seed=5, log_scale=-1.2)
+    splats.means[:, 2] = np.random.default_rng(6).integers(-1, 2, 300)
+    splats.logit_opacities[:] = 1.0
+    return splats
+
+
+def test_scenes_that_change_from_frame_to_frame_have_the_order_of_their_contents() -> None:
+    truth, held = rasteriser().load(ties()), [rasteriser().load(ties()) for _ in range(4)]
+    ahead = camera(48, 36)  # depths as in the world: equal ones stay equal
+    for turn in range(3):
+        for seed, copy in enumerate(held):
+            rows = np.arange(seed, 300, 2 + turn)
+            new = ties().take(rows)
+            new.sh0[:] += np.random.default_rng(10 * turn + seed).normal(0, 0.5, new.sh0.shape).astype(np.float32)
+            copy.update(rows, new)
+        made, again = (at_once([truth] * 4, held, [ahead] * 4) for _ in range(2))
+        right = [alone(truth, copy, ahead) for copy in held]
+        for views in (made, again):
+            for ours, one in zip(views, right, strict=True):
+                np.testing.assert_array_equal(ours.lack, one.lack)
+        assert np.abs(made[0].lack - made[1].lack).max() > 0.1
 
 
 def test_only_what_fits_together_is_drawn_together(submissions: list[int]) -> None:
