@@ -54,12 +54,9 @@ class Comparison:
     knee: float
     looks: tuple[Look, ...]
 
-    def goes_with(self, other: Comparison) -> bool:
-        """Whether both can be drawn together: what differs is the cameras, and the footprints."""
-        return self._alike == other._alike
-
     @cached_property
-    def _alike(self) -> tuple[object, ...]:
+    def kind(self) -> tuple[object, ...]:
+        """Comparisons of one kind can be drawn together: they differ in scenes, cameras and footprints."""
         size = self.camera.width_px, self.camera.height_px, len(self.truth), len(self.held)
         return *size, replace(self.options, footprint=Footprint.classic()), self.knee, self.looks
 
@@ -155,7 +152,8 @@ class Comparisons:
         self._recording = False
         self._lock = threading.Lock()
         self._flying = threading.BoundedSemaphore(IN_FLIGHT)
-        self._most = LAYERS
+        self._most: dict[object, int] = {}
+        """How many of a kind are drawn together, where the device's buffers hold fewer than was thought."""
         self._targets: list[tuple[Workspace, tuple[int, int, int, str], Target]] = []  # least recently used first
 
     def views(self, job: Comparison) -> DeviceViews | None:
@@ -204,15 +202,15 @@ class Comparisons:
                 self._waiting[:0] = together[1:]
             if not isinstance(error, TooLargeError) or len(together) == 1:
                 raise
-        self._most = len(together) // 2
+        self._most[mine.job.kind] = len(together) // 2
         return _Flight([mine], workspace, self._spare)
 
     def _together(self, mine: _Waiting, workspace: Workspace) -> list[_Waiting]:
         """Take those out that can be drawn with ``mine``."""
         splats = max(len(mine.job.truth), len(mine.job.held))
-        most = min(self._most, most_layers(splats, workspace.gpu.max_binding_bytes))
+        most = min(self._most.get(mine.job.kind, LAYERS), most_layers(splats, workspace.gpu.max_binding_bytes))
         with self._lock:
-            alike = (other for other in self._waiting if other is not mine and other.job.goes_with(mine.job))
+            alike = (other for other in self._waiting if other is not mine and other.job.kind == mine.job.kind)
             others = islice((other for other in alike if _loaded(other.job, workspace)), most - 1)
             together = [mine, *others]
             self._waiting = [other for other in self._waiting if other not in together]

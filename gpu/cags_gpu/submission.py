@@ -109,16 +109,20 @@ def _read(workspace: Workspace, through: Handle, cuts: list[int]) -> list[NDArra
 
 
 def _copied(mapped: NDArray[np.uint8], cuts: Sequence[int]) -> list[NDArray[np.uint8]]:
-    """Arrays of what lies between ``cuts``: parts of one, because numpy's large arrays use huge pages, which makes
-    their first use much faster; copied by several threads, because one alone takes longer than the device to draw.
+    """Arrays of what lies between ``cuts``, each of its own: some are kept for long. numpy's, because its large arrays
+    use huge pages, which makes their first use much faster; copied by several threads, because one alone takes longer
+    than the device to draw.
     """
-    copy = np.empty(cuts[-1], np.uint8)
-    starts = range(0, cuts[-1], PIECE_BYTES)
-    pieces = [(copy[at : at + PIECE_BYTES], mapped[at : at + PIECE_BYTES]) for at in starts]
-    run = map if len(pieces) == 1 else _copiers().map
+    copies = [np.empty(end - begin, np.uint8) for begin, end in pairwise(cuts)]
+    pieces = [
+        (copy[at : at + PIECE_BYTES], mapped[begin:end][at : at + PIECE_BYTES])
+        for copy, (begin, end) in zip(copies, pairwise(cuts), strict=True)
+        for at in range(0, len(copy), PIECE_BYTES)
+    ]
+    run = map if cuts[-1] <= PIECE_BYTES else _copiers().map
     for _ in run(np.copyto, *zip(*pieces, strict=True)):
         pass
-    return [copy[begin:end] for begin, end in pairwise(cuts)]
+    return copies
 
 
 @cache

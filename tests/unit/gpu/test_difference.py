@@ -263,6 +263,7 @@ def test_what_is_too_large_together_is_drawn_one_after_the_other(
     submissions: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     truth, held = rasteriser().load(plates()), copies(3)
+    monkeypatch.setattr(keeper().comparisons, "_most", {})
     right = [alone(truth, copy, SERVER) for copy in held]
     real = Workspace.reserve
 
@@ -297,6 +298,18 @@ def test_pictures_of_layers_that_are_looked_at_late_are_their_own() -> None:
     for ours, copy in zip(made, held, strict=True):
         np.testing.assert_allclose(ours.lack, staged(truth, copy).lack, atol=STEP)
     assert len(later) == 3
+
+
+def test_a_picture_that_is_kept_keeps_no_other(submissions: list[int]) -> None:
+    truth, held = rasteriser().load(plates()), copies(3)
+    made = at_once([truth] * 3, held, [SERVER] * 3)
+    assert len(submissions) == 1
+    for views in made:
+        for picture in (views.lack, views.truth, views.depth, views.contribution):
+            owner = picture
+            while owner.base is not None:
+                owner = owner.base
+            assert owner.nbytes == picture.nbytes
 
 
 def test_a_device_that_is_lost_fails_none_of_those_that_wait(monkeypatch: pytest.MonkeyPatch) -> None:
