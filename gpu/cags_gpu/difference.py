@@ -179,7 +179,9 @@ class Comparisons:
         try:
             flight.land()
         except (DeviceLostError, TooLargeError) as error:
-            _log.info("comparisons are made one by one: %s", error)
+            _log.info("comparisons are made step by step: %s", error)
+            if isinstance(error, TooLargeError):
+                self._fewer(flight.waiting)
         finally:
             for waiting in flight.waiting:
                 waiting.done = True
@@ -202,8 +204,11 @@ class Comparisons:
                 self._waiting[:0] = together[1:]
             if not isinstance(error, TooLargeError) or len(together) == 1:
                 raise
-        self._most[mine.job.kind] = len(together) // 2
+        self._fewer(together)
         return _Flight([mine], workspace, self._spare)
+
+    def _fewer(self, together: Sequence[_Waiting]) -> None:
+        self._most[together[0].job.kind] = max(1, len(together) // 2)
 
     def _together(self, mine: _Waiting, workspace: Workspace) -> list[_Waiting]:
         """Take those out that can be drawn with ``mine``."""

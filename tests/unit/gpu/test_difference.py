@@ -21,6 +21,7 @@ from cags_gpu.difference import DeviceViews
 from cags_gpu.keeper import Keeper
 from cags_gpu.layers import most_layers
 from cags_gpu.raster import GpuRasteriser, GpuScene
+from cags_gpu.submission import Submission
 from cags_gpu.workspace import LAYERS, TooLargeError, Workspace
 from support.device_frames import CLIENT, EXACT, SERVER, plates
 from support.gpu import any_gpu, keeper, needs_adapter, rasteriser
@@ -181,19 +182,21 @@ def aside(steps: int) -> Camera:
     return replace(SERVER, pose=replace(SERVER.pose, position=(0.9 - 0.02 * steps, 0.3, -4.7)))
 
 
+def asked_for(truth: GpuScene, copy: GpuScene, seen_by: Camera) -> DeviceViews | None:
+    """All pictures of a comparison, as a client of :data:`CLIENT` wants them."""
+    footprint = Footprint.of(CLIENT.intrinsics, seen_by.intrinsics)
+    return truth.compared(copy, seen_by, replace(OPTIONS, footprint=footprint), knee=0.1, looks=tuple(Look))
+
+
 def at_once(truths: Sequence[GpuScene], held: Sequence[GpuScene], cameras: Sequence[Camera]) -> list[DeviceViews]:
     """Comparisons of as many threads, that all wait for the device before any is drawn."""
 
-    def one(truth: GpuScene, copy: GpuScene, camera: Camera) -> DeviceViews:
-        footprint = Footprint.of(CLIENT.intrinsics, camera.intrinsics)
-        made = truth.compared(copy, camera, replace(OPTIONS, footprint=footprint), knee=0.1, looks=tuple(Look))
-        assert made is not None
-        return made
-
     with ThreadPoolExecutor(len(held)) as pool:
         with held_up(truths[0], len(held)):
-            futures = [pool.submit(one, *each) for each in zip(truths, held, cameras, strict=True)]
-        return [future.result(60) for future in futures]
+            futures = [pool.submit(asked_for, *each) for each in zip(truths, held, cameras, strict=True)]
+        made = [future.result(60) for future in futures]
+    assert None not in made
+    return [views for views in made if views is not None]
 
 
 def alone(truth: GpuScene, copy: GpuScene, camera: Camera) -> DeviceViews:
@@ -278,6 +281,32 @@ def test_what_is_too_large_together_is_drawn_one_after_the_other(
     submissions.clear()
     made = at_once([truth] * 3, held, [SERVER] * 3)
     assert len(submissions) == 3
+    for ours, one in zip(made, right, strict=True):
+        np.testing.assert_array_equal(ours.lack, one.lack)
+
+
+def test_entries_that_are_too_many_together_are_not_drawn_together_again(
+    submissions: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The buffers hold the splats of all, but not their entries, as the first drawing tells."""
+    truth, held = rasteriser().load(plates()), copies(4)
+    monkeypatch.setattr(keeper().comparisons, "_most", {})
+    right = [alone(truth, copy, SERVER) for copy in held]
+    real = Submission.read
+
+    def crowded(self: Submission) -> object:
+        if len(submissions) == 1:
+            raise TooLargeError("no room for the entries of four")
+        return real(self)
+
+    monkeypatch.setattr(Submission, "read", crowded)
+    submissions.clear()
+    with ThreadPoolExecutor(4) as pool:
+        with held_up(truth, 4):
+            first = [pool.submit(asked_for, truth, copy, SERVER) for copy in held]
+        assert [future.result(60) for future in first] == [None] * 4, "for the server to draw step by step"
+    made = at_once([truth] * 4, held, [SERVER] * 4)
+    assert len(submissions) == 1 + 2
     for ours, one in zip(made, right, strict=True):
         np.testing.assert_array_equal(ours.lack, one.lack)
 
