@@ -39,6 +39,9 @@ WAKE_S = 2.0
 
 KNEE = 0.1
 
+MOVING_SHARE = 1 / 8
+"""Splats that move in every frame of the mirrors that do."""
+
 Line = dict[str, Any]
 
 
@@ -52,7 +55,11 @@ def measure_table(settings: RasterSettings) -> Iterator[Line]:
     assert isinstance(scene, GpuScene)
     parts: list[Iterator[Line]] = [
         client_lines(settings, source, splats, scene),
-        *(reference_lines(settings, source, splats, scene, clients) for clients in settings.client_list),
+        *(
+            reference_lines(settings, source, splats, scene, clients, moving=moving)
+            for clients in settings.client_list
+            for moving in (False, True)
+        ),
         *(growth_lines(settings, count) for count in settings.growth_list),
     ]
     for part in parts:
@@ -87,10 +94,11 @@ def client_lines(settings: RasterSettings, source: FrameSource, splats: Splats, 
 
 
 def reference_lines(
-    settings: RasterSettings, source: FrameSource, splats: Splats, truth: GpuScene, clients: int
+    settings: RasterSettings, source: FrameSource, splats: Splats, truth: GpuScene, clients: int, *, moving: bool
 ) -> Iterator[Line]:
     """References per second of a server that renders for all clients at once, each at a place of its own: truth and
-    mirror are drawn, subtracted and companded, and both pictures come as floats.
+    mirror are drawn, subtracted and companded, and both pictures come as floats. With ``moving``, splats of the
+    mirrors move before each of them, as those of clients do.
     """
     camera = view_of(source, *settings.size_list[-1])
     reference_camera = replace(camera, intrinsics=camera.intrinsics.resized(*REFERENCE_SIZE))
@@ -104,32 +112,50 @@ def reference_lines(
     )
     poses = [replace(reference_camera.pose, position=(x, y, z)) for x, y, z in places.tolist()]
 
-    def compare(mirror: GpuScene, pose: Pose) -> None:
-        views = truth.compared(mirror, reference_camera.at(pose), options, knee=KNEE, looks=looks)
+    def compare(mirror: _Mirror, pose: Pose) -> None:
+        if moving:
+            mirror.move()
+        views = truth.compared(mirror.scene, reference_camera.at(pose), options, knee=KNEE, looks=looks)
         if views is None:
             raise RuntimeError("the device was lost or cannot hold the scenes; draw fewer splats and run it again")
         _ = views.lack, views.companded(KNEE)
 
-    mirrors = [_mirror(splats, seed) for seed in range(clients)]
+    def in_turn(mirror: _Mirror, pose: Pose) -> None:
+        for _ in range(settings.repetitions):  # a client has one under way
+            compare(mirror, pose)
+
+    mirrors = [_Mirror(splats, seed) for seed in range(clients)]
     with ThreadPoolExecutor(clients) as pool:
         list(pool.map(compare, mirrors, poses))  # uploads, pipelines, room for entries
         awake = time.perf_counter() + WAKE_S
         while time.perf_counter() < awake:
             list(pool.map(compare, mirrors, poses))
         start = time.perf_counter()
-        for _ in pool.map(compare, settings.repetitions * mirrors, settings.repetitions * poses):
-            pass
+        list(pool.map(in_turn, mirrors, poses))
         rate = settings.repetitions * clients / (time.perf_counter() - start)
     size = size_text((reference_camera.width_px, reference_camera.height_px))
-    yield {"case": "references", "clients": clients, "size": size, "a_second": round(rate, 1)}
+    yield {"case": "references", "clients": clients, "moving": moving, "size": size, "a_second": round(rate, 1)}
 
 
-def _mirror(splats: Splats, seed: int) -> GpuScene:
+class _Mirror:
     """A client's copy with different base colours, so that there is a difference to send."""
-    noise = np.random.default_rng(seed).normal(0.0, 0.1, splats.sh0.shape).astype(np.float32)
-    made = create("gpu").load(replace(splats, sh0=splats.sh0 + noise))
-    assert isinstance(made, GpuScene)
-    return made
+
+    def __init__(self, splats: Splats, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        noise = rng.normal(0.0, 0.1, splats.sh0.shape).astype(np.float32)
+        held = replace(splats, sh0=splats.sh0 + noise)
+        made = create("gpu").load(held)
+        assert isinstance(made, GpuScene)
+        self.scene = made
+        self._rows = np.sort(rng.choice(len(splats), round(MOVING_SHARE * len(splats)), replace=False))
+        away = held.means.copy()
+        away[self._rows] += np.exp(held.log_scales[self._rows].min(axis=1, keepdims=True))
+        self._next, self._last = replace(held, means=away), held
+
+    def move(self) -> None:
+        """Show the other of two places of some splats."""
+        self.scene.move(self._rows, self._next)
+        self._next, self._last = self._last, self._next
 
 
 def growth_lines(settings: RasterSettings, count: int) -> Iterator[Line]:
@@ -166,7 +192,7 @@ def _checks(lines: list[Line]) -> list[Line]:
         check("whole client frame at 1600x1200", f"<= {FRAME_MS:g} ms", x["ms"], x["ms"] <= FRAME_MS) for x in frames
     ]
     clients, rate = CLIENTS_RATE
-    many = [x["a_second"] for x in lines if x["case"] == "references" and x["clients"] == clients]
+    many = [x["a_second"] for x in lines if x["case"] == "references" and x["clients"] == clients and not x["moving"]]
     return checks + [
         check(f"references a second for {clients} clients", f">= {clients * rate}", each, each >= clients * rate)
         for each in many
