@@ -1,9 +1,9 @@
 """What pictures of the clip itself decide: the step of positions, and the order of layers by their gain (paper,
 supplement, "LoD Assignment").
 
-Positions come whole with the base, so their step must suit the highest level. Where flat splats of different colours
-overlap, small errors of depth change which one is in front, and the step is halved. Splats that move do not count here,
-because chunks of motion refine their positions; therefore gains of layers are measured at exact positions, too.
+Where flat splats of different colours overlap, small errors of depth change which one is in front. The step of
+positions is halved until that cannot be seen with all levels. Splats that move do not count here, because chunks of
+motion code their positions more exactly than their looks do.
 
 For the order, the first frame is drawn from a few views for every attribute and number of its layers, with all layers
 of the other attributes. Squared errors of attributes nearly add up, so choosing the largest reduction per byte next is
@@ -28,9 +28,9 @@ from cags_common.metrics import covered_mask, ssim_map
 from cags_common.raster import DepthKind, Rasteriser, RenderedView, RenderOptions
 from cags_common.splats import Splats
 from cags_common.tiles.attributes import join_attributes
-from cags_common.tiles.lod import LodLayer, depths_at
+from cags_common.tiles.lod import POSITION, LodLayer, depths_at, position_layers
 from cags_common.tiles.morton import morton_order, tile_ranges
-from cags_common.tiles.payloads import KEY_TILE_SPLATS, encode_layer
+from cags_common.tiles.payloads import KEY_TILE_SPLATS
 from cags_encoder.codecs.registry import ClipCodec
 from cags_encoder.codecs.svq import SvqCodec, radii_of
 
@@ -55,8 +55,8 @@ rotations of balls.
 UNSEEN = 10 ** (-45.0 / 10)
 """Squared error of a patch that is tolerable whatever the looks are."""
 
-FINEST = 1 / 4
-"""Smallest step of positions, in steps of the configuration. Each halving takes 3 bits a splat of the base."""
+FINEST = 1 / 8
+"""Smallest step of positions, in steps of the configuration. Each halving takes a level of 3 bits a splat."""
 
 LAGS = (1, 4, 16)
 """Frames apart, of pairs of frames that are compared to see what standing still costs."""
@@ -76,13 +76,14 @@ class LodMeasurement:
 
     def applied(self, codec: SvqCodec) -> SvqCodec:
         """``codec`` with this order and step, without the layers that the order leaves out."""
-        base, quantiser = (
-            self.quality.ladder[0].psnr_db,
-            codec.quantiser.truncated(depths_at(self.order, len(self.order))),
+        return replace(
+            codec,
+            quantiser=codec.quantiser.truncated(depths_at(self.order, len(self.order))),
+            lod_order=self.order,
+            lod_gains_db=self.gains_db,
+            base_psnr_db=self.quality.ladder[0].psnr_db,
+            position_step=self.position_step,
         )
-        measured = replace(codec, lod_order=self.order, lod_gains_db=self.gains_db, base_psnr_db=base)
-        measured = replace(measured, quantiser=quantiser)
-        return replace(measured, position_step=self.position_step)
 
 
 def measure(
@@ -92,18 +93,20 @@ def measure(
     rasteriser: Rasteriser,
     tell: Callable[[int, int], None],
     *,
-    still: NDArray[np.bool_] | None = None,
+    still: NDArray[np.bool_],
+    refine: bool = False,
     later: Iterable[Splats] = (),
 ) -> LodMeasurement:
     """The best LoD order of ``codec`` for ``splats`` [n] seen by ``cameras``, and the gain of each level.
 
-    The step of positions becomes as fine as those of ``still`` [n] splats need; None: it stays the codec's. The order
-    ends where no visible error is left, in ``splats`` and in ``later`` frames.
+    With ``refine`` the step of positions becomes as fine as those of ``still`` [n] splats need. The order ends where no
+    visible error is left, in ``splats`` and in ``later`` frames.
     """
-    trial = _Trial(codec, splats, cameras, rasteriser)
-    if still is not None:
-        trial.refine(still)
-    layers = [(b.attribute, layer) for b in codec.quantiser.books for layer in range(b.enhancement_layers)]
+    trial = _Trial(codec, splats, cameras, rasteriser, still)
+    if refine:
+        trial.refine()
+    full = trial.layers
+    layers = [(name, layer) for name, end in full.items() for layer in range(end)]
     steps, done = 2 * len(layers) + 2, 0
 
     def look(depths: Mapping[str, int]) -> _Seen:
@@ -112,12 +115,11 @@ def measure(
         tell(done, steps)
         return trial.look(depths)
 
-    full = {book.attribute: book.enhancement_layers for book in codec.quantiser.books}
     best, sizes = look(full), trial.layer_bytes()
     cut = {(name, layer): look({**full, name: layer}) for name, layer in layers}
     order = cheapest_first({at: seen.error for at, seen in cut.items()}, best.error, full, sizes)
     levels = [look(depths_at(order, lod)) for lod in range(len(order) + 1)]
-    kept = _enough(order, levels, later, lambda frame: _Trial(codec, frame, cameras, rasteriser))
+    kept = _enough(order, levels, later, lambda frame: _Trial(trial.codec, frame, cameras, rasteriser))
     order, levels = order[:kept], levels[: kept + 1]
     errors = np.array([seen.error for seen in levels])
     gains = tuple(round(float(gain), 4) for gain in 10 * np.log10(errors[:-1] / errors[1:]))
@@ -133,7 +135,9 @@ def measure(
         LevelQuality(lod, int(total), *seen.rounded())
         for lod, (total, seen) in enumerate(zip(np.cumsum(added), levels, strict=True))
     ]
-    return LodMeasurement(order, gains, LodQuality(tuple(alone), tuple(ladder)), trial.position_step)
+    left_out = full.get(POSITION, 0) - position_layers(order)
+    step = trial.codec.position_step * 2**left_out
+    return LodMeasurement(order, gains, LodQuality(tuple(alone), tuple(ladder)), step)
 
 
 def _enough(
@@ -282,60 +286,74 @@ class _Views:
 class _Trial:
     """Renders of the splats with any number of layers, compared with the truth."""
 
-    def __init__(self, codec: SvqCodec, splats: Splats, cameras: Sequence[Camera], rasteriser: Rasteriser) -> None:
-        self._codec, self._books = codec, codec.quantiser.books
+    def __init__(
+        self,
+        codec: SvqCodec,
+        splats: Splats,
+        cameras: Sequence[Camera],
+        rasteriser: Rasteriser,
+        still: NDArray[np.bool_] | None = None,
+    ) -> None:
+        """``still`` [n] splats are shown where their looks say; none unless given."""
+        self.codec, self._books = _with_positions(codec), codec.quantiser.books
         self._views = _Views(splats, cameras, rasteriser)
-        self._coded = codec.quantise(codec.prepare(self._views.splats))
+        self._still = np.zeros(len(splats), np.bool_) if still is None else still[self._views.order]
+        coded = codec.quantise(codec.prepare(self._views.splats))
+        self._codes = coded.codes
+        self._tiles = [coded.take(slice(a, b)) for a, b in tile_ranges(len(splats), KEY_TILE_SPLATS)]
+        self._looks = codec.decode(coded)
 
     @property
-    def position_step(self) -> float:
-        """Step of positions, in radii of a tile's smaller splats."""
-        return self._codec.position_step
+    def layers(self) -> dict[str, int]:
+        """Enhancement layers of each attribute, and of positions, if they have any."""
+        positions = max((self.codec.grid(tile).layers for tile in self._tiles), default=0)
+        books = {book.attribute: book.enhancement_layers for book in self._books}
+        return books | ({POSITION: positions} if positions else {})
 
-    def refine(self, still: NDArray[np.bool_]) -> None:
+    def refine(self) -> None:
         """Halve the step of positions until the worst patches show it at most half as much as the quantised looks, or
-        the error cannot be seen. Only ``still`` [n] splats count.
+        the error cannot be seen.
         """
-        still = still[self._views.order]
-        looks = self._views.worst_patch(self._codec.decode(self._coded))
-        allowed, finest = max(POSITIONS_SHARE * looks, UNSEEN), FINEST * self.position_step
-        while self.position_step > finest and self._views.worst_patch(self._rounded(still)) > allowed:
-            self._codec = replace(self._codec, position_step=self.position_step / 2)
+        looks = self._views.worst_patch(self._looks)
+        allowed, finest = max(POSITIONS_SHARE * looks, UNSEEN), FINEST * self.codec.position_step
+        while self.codec.position_step > finest:
+            rounded = replace(self._views.splats, means=self._means(None))
+            if self._views.worst_patch(rounded) <= allowed:
+                break
+            self.codec = _with_positions(replace(self.codec, position_step=self.codec.position_step / 2))
 
-    def _rounded(self, still: NDArray[np.bool_]) -> Splats:
-        """The true splats, ``still`` ones at positions as decoded, tile by tile."""
-        tiles = [self._coded.take(slice(a, b)) for a, b in tile_ranges(len(self._coded.means), KEY_TILE_SPLATS)]
-        grids = [(tile, self._codec.grid(tile)) for tile in tiles]
-        means = np.concatenate([grid.dequantise(grid.quantise(tile.means)) for tile, grid in grids])
-        return replace(self._views.splats, means=np.where(still[:, None], means, self._coded.means))
+    def _means(self, layers: int | None) -> F32:
+        """Positions as decoded tile by tile with so many layers; None: with all."""
+        whole = self._decoded(None)
+        exact = np.where(self._still[:, None], whole, self._views.splats.means)
+        return exact if layers is None else exact + (self._decoded(layers) - whole)
+
+    def _decoded(self, layers: int | None) -> F32:
+        return np.concatenate([self.codec.means_at(tile, layers) for tile in self._tiles])
 
     def look(self, depths: Mapping[str, int]) -> _Seen:
         """Compare with ``depths[attribute]`` enhancement layers."""
         values = {}
         for book in self._books:
             layers = 1 + depths.get(book.attribute, 0)
-            values[book.attribute] = book.lookup(book.prefix(self._coded.codes[book.attribute], layers), layers)
-        return self._views.look(join_attributes(self._coded.means, values))
+            values[book.attribute] = book.lookup(book.prefix(self._codes[book.attribute], layers), layers)
+        return self._views.look(join_attributes(self._means(depths.get(POSITION, 0)), values))
 
     def base_bytes(self) -> int:
         """Bytes of LoD 0 of the frame's tiles."""
-        ids, total = np.arange(len(self._coded.means), dtype=np.int32), 0
-        bare = replace(self._codec, lod_order=())
-        for first, end in tile_ranges(len(ids), KEY_TILE_SPLATS):
-            part = self._coded.take(slice(first, end))
-            total += len(bare.encode_tile(ids[first:end], part, id_range=True)[0])
-        return total
+        return sum(map(self.codec.base_bytes, self._tiles))
 
     def layer_bytes(self) -> dict[tuple[str, int], int]:
         """Bytes of each enhancement layer of the frame's tiles."""
-        out = {}
-        for book in self._books:
-            codes = self._coded.codes[book.attribute]
-            for layer in range(1, book.enhancement_layers + 1):
-                bits, part = book.layer_bits[layer], book.layer(codes, layer)
-                tiles = tile_ranges(len(part), KEY_TILE_SPLATS)
-                out[book.attribute, layer] = sum(len(encode_layer(part[a:b], bits)) for a, b in tiles)
-        return out
+        items = [LodLayer(name, layer) for name, end in self.layers.items() for layer in range(1, end + 1)]
+        return {(i.attribute, i.layer): sum(self.codec.layer_bytes(tile, i) for tile in self._tiles) for i in items}
+
+
+def _with_positions(codec: SvqCodec) -> SvqCodec:
+    """``codec`` with an order that has as many layers of positions as there may be, and all others in any order."""
+    order = (item for item in codec.lod_order if item.attribute != POSITION)
+    positions = (LodLayer(POSITION, layer) for layer in range(1, codec.finest_layers + 1))
+    return replace(codec, lod_order=(*order, *positions))
 
 
 def _shown(view: RenderedView) -> F32:

@@ -285,13 +285,13 @@ class _Encoding:
             return None
         cameras = cameras_around(self._source.focus, self._source.up, VIEWS)
         first = self._source.frame(0)
-        still = self._standing(codec, first) if self._settings.measures_positions else None
+        still, refine = self._standing(codec, first), self._settings.measures_positions
 
         def tell(done: int, total: int) -> None:
             self._tell("order", done, total)
 
         later = (self._source.frame(at) for at in sorted({self._count // 2, self._count - 1} - {0}))
-        found = measure(codec, first, cameras, rasteriser, tell, still=still, later=later)
+        found = measure(codec, first, cameras, rasteriser, tell, still=still, refine=refine, later=later)
         self._still = standing_still(self._source.frame, self._count, cameras, rasteriser)
         if self._journal:
             order_note = [[item.attribute, item.layer] for item in found.order]

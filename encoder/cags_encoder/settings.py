@@ -33,13 +33,16 @@ class EncodeSettings:
     )
     position_step: float | None = setting(
         None,
-        "step of positions, in radii of a tile's smaller splats (lower quartile); default: the quantiser's "
-        "(1/8), halved once or twice where renders of the first frame need it",
+        "step of positions with all levels, in radii of a tile's smaller splats (lower quartile); default: the "
+        "quantiser's (1/8), halved up to three times where renders of the first frame need it",
         low=1e-4,
         high=10,
     )
     position_bits: int | None = setting(
-        None, "bits per axis of positions in a tile's cube; replaces --position-step", low=4, high=22
+        None,
+        "bits per axis of positions in a tile's cube, all of them in the base; replaces --position-step",
+        low=4,
+        high=22,
     )
     change_threshold: float = setting(
         0.01, "smallest visible error at which a splat is sent again, share of a pixel's colour", low=0, high=1

@@ -44,6 +44,7 @@ OF_THE_PAGE = {
     ("decode/updates", "cags_common.tiles.updates"): "UPDATE_VERSION UPDATE_COLUMNS RAMP_COLUMNS LONGEST_RAMP",
     ("store/ramps", "cags_common.tiles.ramps"): "OF_LOOKS",
     ("decode/tiles", "cags_common.tiles.payloads"): "BASE_VERSION MAX_TILE_SPLATS MAX_POSITION_BITS MAX_POSITION",
+    ("decode/positions", "cags_common.tiles.lod"): "MAX_POSITION_LAYERS POSITION",
     ("decode/manifest", "cags_common.bundle.manifest"): "VERSION MAX_MANIFEST_BYTES MAX_FRAMES",
     ("decode/manifest", "cags_common.bundle.view"): "MAX_TITLE FARTHEST_M",
     ("decode/codebooks", "cags_common.tiles.svq"): "MAX_BASE_BITS MAX_LAYER_BITS MAX_STAGE_BITS MAX_CODEBOOK_BYTES",

@@ -25,15 +25,25 @@ from cags_common.motion import chunk
 from cags_common.motion.neighbours import Anchors
 from cags_common.splats import Ids, Splats
 from cags_common.tiles.kinds import TileKind
-from cags_common.tiles.payloads import PositionGrid, decode_base, encode_base, encode_layer
+from cags_common.tiles.lod import POSITION
+from cags_common.tiles.payloads import (
+    PositionGrid,
+    decode_base,
+    encode_base,
+    encode_layer,
+    encode_position_layer,
+)
 from cags_common.tiles.updates import RAMP_COLUMNS, encode_update
 from cags_server.scene.library import SceneLibrary
 from support.codec_scenes import books
 from support.server_scene import FakeScene
 
 BOOKS = books((4, 2))
-ORDER = tuple(LodLayer(name, 1) for name in BOOKS.attributes)
+_FIRST, *_OTHERS = (LodLayer(name, 1) for name in BOOKS.attributes)
+ORDER = (_FIRST, LodLayer(POSITION, 1), *_OTHERS, LodLayer(POSITION, 2))
 LODS = len(ORDER) + 1
+POSITION_LAYERS = 2, 0, 1
+"""Layers of positions of tiles, in turn."""
 STEP_M = 0.02
 """Finest unit of positions, metres."""
 TURN_STEP = 0.01
@@ -117,13 +127,19 @@ class MovingScene:
     def _looks(self, frame: int, number: int, ids: Ids, *, key: bool) -> TilePayloads:
         means = self._random.uniform([-4, -1, 2], [4, 1, 5], (len(ids), 3)).astype(np.float32)
         base = {name: self._random.integers(0, 16, len(ids)).astype(np.uint32) for name in BOOKS.attributes}
-        layers = [encode_layer(self._random.integers(0, 4, len(ids)).astype(np.uint32), 2) for _ in ORDER]
-        first = encode_base(ids, means, base, PositionGrid.over(means, 12), BOOKS, id_range=key)
+        grid = PositionGrid.over(means, 12, POSITION_LAYERS[number % 3])
+        layers = [self._layer(item, means, grid) for item in ORDER]
+        first = encode_base(ids, means, base, grid, BOOKS, id_range=key)
         if self._motion:
             ends_soon = any(self._deaths[each] <= frame + 1 for each in ids.tolist())
             begins = frame if ends_soon else frame + int(self._random.integers(0, 2))
             self._tracks.append(_Track((frame, number), ids, means, _anchors(first), begins))
         return TilePayloads(len(ids), int(ids[0]) if key else None, _corners(means), (first, *layers))
+
+    def _layer(self, item: LodLayer, means: F32, grid: PositionGrid) -> bytes:
+        if item.attribute == POSITION:
+            return encode_position_layer(means, grid, item.layer)
+        return encode_layer(self._random.integers(0, 4, len(means)).astype(np.uint32), 2)
 
     def _update(self, ids: Ids) -> TilePayloads:
         names = [name for name in BOOKS.attributes if not name.startswith("rotation")]

@@ -20,7 +20,7 @@ DAMAGED = 400
 
 
 def test_tiles_and_updates_of_the_recorded_bundle_at_every_recorded_level(tmp_path: Path) -> None:
-    bundle = json.loads((VECTORS / "bundle" / "v6.json").read_text())
+    bundle = json.loads((VECTORS / "bundle" / "v7.json").read_text())
     run_tests("decode", tmp_path, bundle=bundle, chunks=_chunks(), bytes=_bytes())
 
 

@@ -92,8 +92,9 @@ def train(source: FrameSource, splats: Splats, variant: Variant) -> SvqCodec:
     if not variant.measured:
         return codec
     cameras = cameras_around(source.focus, source.up, VIEWS)
-    still = np.ones(len(splats), np.bool_) if variant.settings.measures_positions else None
-    return measure(codec, splats, cameras, rasteriser, lambda at, end: None, still=still).applied(codec)
+    still, refine = np.ones(len(splats), np.bool_), variant.settings.measures_positions
+    found = measure(codec, splats, cameras, rasteriser, lambda at, end: None, still=still, refine=refine)
+    return found.applied(codec)
 
 
 def encode(codec: SvqCodec, splats: Splats) -> list[Tile]:

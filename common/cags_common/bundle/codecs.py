@@ -60,7 +60,7 @@ class TileDecoder(Protocol):
 
     @property
     def means(self) -> F32:
-        """Their positions [n, 3], world, metres."""
+        """Their positions [n, 3] as LoD 0 tells them, by which motion is told; world, metres."""
         ...
 
     @property

@@ -1,21 +1,24 @@
 """Tile payloads, both ways.
 
 LoD 0 of a tile (``encode_base``) is a fixed header, the ids (absent in key frames, whose tiles are id ranges), a Draco
-point cloud of the positions on a grid, in the tile's order, and every attribute's base codes. Each further LoD
-(``encode_layer``) is one enhancement layer's bits. Codes are packed, and deflated where that is shorter. CRCs travel
-beside payloads: one flipped byte makes Draco decode wrong values without an error. Layout: ``docs/bundle.md``.
+point cloud of the highest bits of the positions on a grid, in the tile's order, and every attribute's base codes. Each
+further LoD is one enhancement layer's bits (``encode_layer``), or the next bit of positions
+(``encode_position_layer``). Codes are packed, and deflated where that is shorter. CRCs travel beside payloads: one
+flipped byte makes Draco decode wrong values without an error. Layout: ``docs/bundle.md``.
 """
 
 from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import DracoPy
 import numpy as np
+from numpy.typing import NDArray
 
 from cags_common.coding.draco import decode_points
 from cags_common.coding.packing import (
@@ -32,6 +35,7 @@ from cags_common.errors import DecodeError
 from cags_common.geometry import F32, axis_bounds
 from cags_common.splats import MAX_SPLATS, Ids
 from cags_common.tiles import dequantise
+from cags_common.tiles.lod import MAX_POSITION_LAYERS
 from cags_common.tiles.svq import MAX_LAYER_BITS, CodebookSet
 
 KEY_TILE_SPLATS = 8_000
@@ -48,21 +52,30 @@ MAX_POSITION = 1e30
 """Bound on coordinates: sums and products of grids stay inside float32."""
 
 DRACO_LEVEL = 7
-BASE_VERSION = 2
-"""Version 1 carried base codes as generic attributes inside Draco, which took as long to decode as the positions."""
+BASE_VERSION = 9
+"""Version 1 carried base codes as generic attributes inside Draco, which took as long to decode as the positions;
+version 2 had no layers of positions.
+"""
 
 _BASE_HEADER = struct.Struct("<BBBBIII4f")
-"""Version, flags, position bits, attributes, splats, first id or bytes of the id list, bytes of the Draco data, grid
-origin and step.
+"""Version, flags and layers of positions, position bits, attributes, splats, first id or bytes of the id list, bytes of
+the Draco data, grid origin and step.
 """
 
 _ID_RANGE = 1
 """Flag: the ids are a range (key frames), and only its first id is there."""
 
+_LAYERS_SHIFT = 4
+"""The four high bits of the flags are the number of layers of positions."""
+
 
 @dataclass(frozen=True, eq=False)
 class PositionGrid:
-    """The grid that a tile's positions are rounded to: ``origin + step * integer``."""
+    """The grid that a tile's positions are rounded to: ``origin + step * integer``.
+
+    The integers' lowest bits are ``layers`` of their own. Until those come, a position is the middle of all that it may
+    become.
+    """
 
     origin: F32  # [3] world, metres
     step: float
@@ -70,13 +83,16 @@ class PositionGrid:
     axis.
     """
     bits: int
+    """Of an integer, with those of the layers."""
+    layers: int = 0
+    """Bits that are layers of their own."""
 
     @staticmethod
-    def over(means: F32, bits: int) -> PositionGrid:
+    def over(means: F32, bits: int, layers: int = 0) -> PositionGrid:
         """The finest grid of ``bits`` bits an axis over the cube that holds ``means`` [n, 3]."""
         low, extent = _low_and_extent(means)
         step = np.nextafter(np.float32(extent / (2**bits - 1)), np.float32(np.inf)) if extent > 0 else 0.0
-        return PositionGrid(low, float(step), bits)
+        return PositionGrid(low, float(step), bits, layers)
 
     def quantise(self, means: F32) -> U32:
         """Integer coordinates [n, 3] of ``means``."""
@@ -85,9 +101,13 @@ class PositionGrid:
         cells = np.rint((means.astype(np.float64) - self.origin) / self.step)
         return np.clip(cells, 0, 2**self.bits - 1).astype(np.uint32)
 
-    def dequantise(self, cells: Any) -> F32:
-        """Means [n, 3] of integer coordinates."""
-        return dequantise.positions(cells, self.origin, self.step)
+    def dequantise(self, cells: Any, layers: int | None = None) -> F32:
+        """Means [n, 3] of integer coordinates without the bits of all but the first ``layers``; None: of whole ones."""
+        lacking = 0 if layers is None else self.layers - layers
+        middle = 0.5 * (2**lacking - 1)
+        # Whole and half numbers below 2**23: exact in single precision, too.
+        whole = cells if not lacking else cells.astype(np.float32) * np.float32(2**lacking) + np.float32(middle)
+        return dequantise.positions(whole, self.origin, self.step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,11 +115,27 @@ class BaseTile:
     """What LoD 0 of a tile holds."""
 
     ids: Ids  # [n] ascending
-    means: F32  # [n, 3] world, metres
+    grid: PositionGrid
+    cells: F32  # [n, 3] integer coordinates, without the bits of the layers of positions
     layers: dict[str, PackedCodes]  # attribute -> n base codes
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    @cached_property
+    def means(self) -> F32:
+        """Positions [n, 3] as LoD 0 tells them, world, metres."""
+        return self.grid.dequantise(self.cells, 0)
+
+    def refined(self, bits: Sequence[NDArray[np.uint8]]) -> F32:
+        """Positions [n, 3] with the first layers' ``bits`` [n, 3], world, metres."""
+        low = np.zeros(self.cells.shape, np.uint8)
+        for layer in bits:
+            low += low
+            low += layer
+        cells = self.cells * np.float32(2 ** len(bits))
+        cells += low
+        return self.grid.dequantise(cells, len(bits))
 
     @property
     def codes(self) -> dict[str, U32]:
@@ -110,7 +146,8 @@ class BaseTile:
 def encode_base(
     ids: Ids, means: F32, codes: Mapping[str, U32], grid: PositionGrid, codebooks: CodebookSet, *, id_range: bool
 ) -> bytes:
-    """LoD 0 of a tile: ``ids`` [n] ascending, ``means`` [n, 3], ``codes`` attribute -> [n] base codes.
+    """LoD 0 of a tile: ``ids`` [n] ascending, ``means`` [n, 3], ``codes`` attribute -> [n] base codes. Layers of
+    positions, of which ``grid`` says how many there are, are payloads of their own.
 
     With ``id_range`` (key frames) the ids are consecutive and only the first is written. The same input gives the same
     bytes.
@@ -118,10 +155,11 @@ def encode_base(
     id_bytes = b"" if id_range else encode_ids(ids)
     id_field = (int(ids[0]) if len(ids) else 0) if id_range else len(id_bytes)
     ox, oy, oz = (float(c) for c in grid.origin)
-    draco = _draco_encode(grid.quantise(means), grid.bits) if len(ids) else b""
+    draco = _draco_encode(grid.quantise(means) >> np.uint32(grid.layers), grid.bits - grid.layers) if len(ids) else b""
+    flags = _ID_RANGE * id_range | grid.layers << _LAYERS_SHIFT
     packed = b"".join(pack_bits(codes[book.attribute], book.layer_bits[0]) for book in codebooks)
     header = _BASE_HEADER.pack(
-        *(BASE_VERSION, _ID_RANGE * id_range, grid.bits, len(codebooks), len(ids), id_field, len(draco)),
+        *(BASE_VERSION, flags, grid.bits, len(codebooks), len(ids), id_field, len(draco)),
         *(ox, oy, oz, grid.step),
     )
     return header + id_bytes + draco + squeeze(packed)
@@ -133,11 +171,8 @@ def decode_base(payload: bytes | memoryview, codebooks: CodebookSet) -> BaseTile
     ids, (draco, codes) = _read_ids(payload, head), head.sections(payload)
     layers = _base_layers(codes, head.splats, codebooks)
     if head.splats == 0:
-        return BaseTile(ids, np.zeros((0, 3), np.float32), layers)
-    means = head.grid.dequantise(_draco_decode(bytes(draco), head.splats))
-    if not np.isfinite(means).all():
-        raise DecodeError("tile: a position is not finite")
-    return BaseTile(ids, means, layers)
+        return BaseTile(ids, head.grid, np.zeros((0, 3), np.float32), layers)
+    return BaseTile(ids, head.grid, _draco_decode(bytes(draco), head.splats, head.grid), layers)
 
 
 def position_bytes(payload: bytes | memoryview) -> int:
@@ -172,6 +207,22 @@ def encode_layer(codes: U32, bits: int) -> bytes:
     return squeeze(pack_bits(codes, bits))
 
 
+def encode_position_layer(means: F32, grid: PositionGrid, layer: int) -> bytes:
+    """Bit ``layer`` >= 1 of the positions ``means`` [n, 3] below those of LoD 0: a bit an axis, splat by splat."""
+    if layer > grid.layers:
+        return b""
+    bits = grid.quantise(means) >> np.uint32(grid.layers - layer) & np.uint32(1)
+    return squeeze(np.packbits(bits.astype(np.uint8), axis=None, bitorder="little").tobytes())
+
+
+def decode_position_layer(payload: bytes | memoryview, count: int) -> NDArray[np.uint8]:
+    """Inverse of :func:`encode_position_layer`: bits [count, 3]. Raises :class:`DecodeError`."""
+    if not 0 <= count <= MAX_TILE_SPLATS:
+        raise DecodeError(f"layer: positions of {count} splats are outside the allowed range")
+    packed = np.frombuffer(unsqueeze(payload, packed_bytes(count, 3), "layer"), np.uint8)
+    return np.unpackbits(packed, count=3 * count, bitorder="little").reshape(count, 3)
+
+
 def decode_layer(payload: bytes | memoryview, count: int, bits: int) -> PackedCodes:
     """Inverse of :func:`encode_layer`: the ``count`` codes. Raises :class:`DecodeError`."""
     if not 1 <= bits <= MAX_LAYER_BITS or not 0 <= count <= MAX_TILE_SPLATS:
@@ -198,12 +249,14 @@ def _read_header(payload: bytes | memoryview, attributes: int | None) -> _Header
     if len(payload) < _BASE_HEADER.size:
         raise DecodeError(f"tile: {len(payload)} bytes are too few for a base layer")
     version, flags, bits, columns, splats, id_field, draco, ox, oy, oz, step = _BASE_HEADER.unpack_from(payload)
+    layers, flags = flags >> _LAYERS_SHIFT, flags & (1 << _LAYERS_SHIFT) - 1
     if version != BASE_VERSION or flags & ~_ID_RANGE:
         raise DecodeError(f"tile: base layer of version {version}, flags {flags}; this program reads {BASE_VERSION}")
     first_id, id_bytes = (id_field, 0) if flags & _ID_RANGE else (None, id_field)
-    if splats > MAX_TILE_SPLATS or bits > MAX_POSITION_BITS or id_bytes + draco > len(payload) - _BASE_HEADER.size:
-        claims = f"{splats} splats, {bits} position bits, {id_bytes} bytes of ids and {draco} of positions"
-        raise DecodeError(f"tile: claims {claims}; beyond bounds")
+    many = splats > MAX_TILE_SPLATS or bits > MAX_POSITION_BITS or layers > min(bits, MAX_POSITION_LAYERS)
+    if many or id_bytes + draco > len(payload) - _BASE_HEADER.size:
+        claims = f"{splats} splats, {bits} position bits, {layers} of them layers, {id_bytes} bytes of ids"
+        raise DecodeError(f"tile: claims {claims}, {draco} of positions; beyond bounds")
     if first_id is not None and first_id > MAX_SPLATS - splats:
         raise DecodeError(f"tile: first id {first_id} is beyond {MAX_SPLATS} splats")
     if attributes is not None and columns != attributes:
@@ -211,7 +264,8 @@ def _read_header(payload: bytes | memoryview, attributes: int | None) -> _Header
     reach = max(abs(ox), abs(oy), abs(oz)) + step * 2**bits
     if not all(map(math.isfinite, (ox, oy, oz, step))) or step < 0 or reach > MAX_POSITION:
         raise DecodeError(f"tile: its position grid is not finite or reaches beyond {MAX_POSITION:g}")
-    return _Header(splats, first_id, id_bytes, draco, PositionGrid(np.array([ox, oy, oz], np.float32), step, bits))
+    grid = PositionGrid(np.array([ox, oy, oz], np.float32), step, bits, layers)
+    return _Header(splats, first_id, id_bytes, draco, grid)
 
 
 def _read_ids(payload: bytes | memoryview, head: _Header) -> Ids:
@@ -234,13 +288,15 @@ def _draco_encode(cells: U32, bits: int) -> bytes:
     return encoded
 
 
-def _draco_decode(data: bytes, count: int) -> F32:
-    """Grid coordinates [count, 3] as float32."""
+def _draco_decode(data: bytes, count: int, grid: PositionGrid) -> F32:
+    """Grid coordinates [count, 3] as float32, without the bits of the layers of positions."""
     points = decode_points(data, count)[0].points
     # Damaged data may give a cloud without points, whose ``points`` is None.
     if getattr(points, "shape", None) != (count, 3):
         raise DecodeError("tile: Draco data holds no positions, or some of another shape")
     cells: F32 = np.asarray(points, np.float32)
+    if not ((cells >= 0) & (cells < 2.0 ** max(grid.bits - grid.layers, 1))).all():
+        raise DecodeError(f"tile: a position is outside its grid of {grid.bits - grid.layers} bits")
     return cells
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from copy import copy
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cags_common.coding.packing import U32, PackedCodes
 from cags_common.errors import DecodeError
@@ -14,8 +15,8 @@ from cags_common.motion.apply import Steps
 from cags_common.splats import Ids, Splats
 from cags_common.tiles.dequantise import Dequantiser, FreshLayers
 from cags_common.tiles.kinds import TileKind
-from cags_common.tiles.lod import LodLayer
-from cags_common.tiles.payloads import BaseTile, decode_layer
+from cags_common.tiles.lod import MAX_POSITION_LAYERS, POSITION, LodLayer, depths_at
+from cags_common.tiles.payloads import BaseTile, decode_layer, decode_position_layer
 
 
 class TileState:
@@ -42,6 +43,7 @@ class TileState:
         self._books = dequantiser.books
         self._codes: U32 | None = None
         self._fresh: dict[str, list[PackedCodes]] = {name: [layer] for name, layer in base.layers.items()}
+        self._positions = _Positions(base.grid.layers)
         self._depth = dict.fromkeys(self._books.attributes, 0)
         self._waiting: dict[tuple[str, int], PackedCodes] = {}
 
@@ -55,20 +57,22 @@ class TileState:
 
     @property
     def means(self) -> F32:
-        """Positions [n, 3], world, metres."""
+        """Positions [n, 3] as LoD 0 tells them, world, metres; :meth:`dequantise` gives those of all levels."""
         return self.base.means
 
     @property
     def lod(self) -> int:
         """Highest LoD up to which everything has come."""
         for level, item in enumerate(self._order):
-            if self._depth[item.attribute] < item.layer:
+            if self.depth(item.attribute) < item.layer:
                 return level
         return len(self._order)
 
     def depth(self, attribute: str) -> int:
-        """Enhancement layers of ``attribute`` that are decoded, from the base on without a gap."""
-        return self._depth[attribute]
+        """Enhancement layers of ``attribute`` that are decoded, from the base on without a gap; those that the tile
+        does not have count as such.
+        """
+        return self._positions.depth if attribute == POSITION else self._depth[attribute]
 
     def add_layer(self, lod: int, payload: bytes | memoryview) -> bool:
         """Take LoD ``lod`` >= 1.
@@ -78,6 +82,8 @@ class TileState:
         if not 1 <= lod <= len(self._order):
             raise DecodeError(f"tile: LoD {lod} is outside 1 to {len(self._order)}")
         item = self._order[lod - 1]
+        if item.attribute == POSITION:
+            return self._positions.add(item.layer, payload, len(self))
         if item.layer <= self._depth[item.attribute]:
             return False
         bits = self._books[item.attribute].layer_bits[item.layer]
@@ -94,15 +100,18 @@ class TileState:
         other = copy(self)
         other._fresh = {name: list(parts) for name, parts in self._fresh.items()}
         other._depth, other._waiting = dict(self._depth), dict(self._waiting)
+        other._positions = self._positions.fork()
         return other
 
     def reduced(self, lods: int) -> TileState:
         """Another state, of LoDs 0 .. ``lods`` - 1 alone, all of which have come."""
         other = self.fork()
         other._waiting.clear()
+        kept = depths_at(self._order, lods - 1)
+        other._positions.keep(kept.get(POSITION, 0))
         codes = None if self._codes is None else self._codes.copy()
         for row, name in enumerate(self._depth):
-            depth = max((item.layer for item in self._order[: lods - 1] if item.attribute == name), default=0)
+            depth = kept.get(name, 0)
             merged = self._depth[name] + 1 - len(self._fresh[name])  # layers that the codes hold
             other._fresh[name] = self._fresh[name][: max(depth + 1 - merged, 0)]
             other._depth[name] = depth
@@ -114,7 +123,8 @@ class TileState:
     def dequantise(self, into: Splats | None = None) -> Splats:
         """The tile's splats [n] at the depths there are, in the order of ``base.ids``; in ``into`` if given."""
         fresh = [FreshLayers(self._depth[name] + 1 - len(parts), tuple(parts)) for name, parts in self._fresh.items()]
-        splats, self._codes = self._dequantise(self.base.means, self._codes, fresh, into)
+        means = self._positions.of(self.base)
+        splats, self._codes = self._dequantise(means, self._codes, fresh, into)
         self._fresh = {name: [] for name in self._fresh}
         return splats
 
@@ -124,6 +134,51 @@ class TileState:
             self._depth[attribute] += 1
             self._fresh[attribute].append(part)
         return self._depth[attribute] > before
+
+
+class _Positions:
+    """Layers of a tile's positions."""
+
+    def __init__(self, layers: int) -> None:
+        self._layers = layers
+        self._bits: dict[int, NDArray[np.uint8]] = {}
+        """Layer -> [n, 3]."""
+
+    @property
+    def depth(self) -> int:
+        """Layers without a gap; without end where the tile has no more."""
+        come = self._come
+        return MAX_POSITION_LAYERS if come == self._layers else come
+
+    @property
+    def _come(self) -> int:
+        return next(layer for layer in range(self._layers + 1) if layer + 1 not in self._bits)
+
+    def add(self, layer: int, payload: bytes | memoryview, count: int) -> bool:
+        """Take a ``layer`` of ``count`` splats; whether the depth rose. Raises :class:`DecodeError`."""
+        if layer > self._layers:
+            if len(payload):
+                raise DecodeError(f"tile: has layer {layer} of positions, but its base says {self._layers}")
+            return False
+        if layer in self._bits:
+            return False
+        before, self._bits[layer] = self._come, decode_position_layer(payload, count)
+        return self._come > before
+
+    def of(self, base: BaseTile) -> F32:
+        """Positions [n, 3] at the depth there is, world, metres."""
+        come = self._come
+        return base.refined([self._bits[layer] for layer in range(1, come + 1)]) if come else base.means
+
+    def keep(self, layers: int) -> None:
+        """Only the first ``layers``."""
+        self._bits = {layer: bits for layer, bits in self._bits.items() if layer <= layers}
+
+    def fork(self) -> _Positions:
+        """The same, apart."""
+        other = copy(self)
+        other._bits = dict(self._bits)
+        return other
 
 
 def _steps(base: BaseTile, tables: Steps) -> Steps:

@@ -31,7 +31,7 @@ from cags_common.geometry import F32
 from cags_common.splats import SH_REST_OF_DEGREE, Ids
 from cags_common.tiles.attributes import SH_REST_ATTRIBUTES, alpha_logits
 from cags_common.tiles.kinds import TileKind
-from cags_common.tiles.lod import LodLayer
+from cags_common.tiles.lod import POSITION, LodLayer
 from cags_common.tiles.payloads import MAX_TILE_SPLATS, decode_layer, encode_layer
 from cags_common.tiles.ramps import AT_ONCE, LONGEST_RAMP, U8
 from cags_common.tiles.svq import CodebookSet
@@ -88,6 +88,9 @@ def encode_update(  # noqa: PLR0917
     head = _HEAD.pack(UPDATE_VERSION, len(books), len(ids), len(id_bytes), len(masks), len(ramps))
     out = [head + id_bytes + masks + ramps + squeeze(base)]
     for item in order:
+        if item.attribute == POSITION:
+            out.append(b"")
+            continue
         book = books[item.attribute]
         layer = book.layer(chosen[item.attribute], item.layer)
         out.append(encode_layer(layer, book.layer_bits[item.layer]) if len(layer) else b"")
@@ -121,7 +124,7 @@ class UpdateState:
     def lod(self) -> int:
         """Highest LoD up to which everything has come; what nothing changed of has nothing to come."""
         for level, item in enumerate(self._order):
-            if len(self._codes[item.attribute]) and self._depth[item.attribute] <= item.layer:
+            if self._changes(item.attribute) and self._depth[item.attribute] <= item.layer:
                 return level
         return len(self._order)
 
@@ -130,7 +133,7 @@ class UpdateState:
         if not 1 <= lod <= len(self._order):
             raise DecodeError(f"update: LoD {lod} is outside 1 to {len(self._order)}")
         item = self._order[lod - 1]
-        count = len(self._codes[item.attribute])
+        count = self._changes(item.attribute)
         if not count or item.layer < self._depth[item.attribute]:
             return False
         bits = self._books[item.attribute].layer_bits[item.layer]
@@ -152,6 +155,10 @@ class UpdateState:
             depth = other._depth[name] = min(wanted, held)
             other._codes[name] = self._codes[name] >> np.uint32(sum(self._books[name].layer_bits[depth:held]))
         return other
+
+    def _changes(self, name: str) -> int:
+        """Splats of which an attribute changes; positions never do."""
+        return 0 if name == POSITION else len(self._codes[name])
 
     def _absorb(self, name: str) -> bool:
         before = self._depth[name]

@@ -13,10 +13,16 @@ from cags_common.coding.packing import U32
 from cags_common.geometry import F32, F64
 from cags_common.splats import Ids, Splats
 from cags_common.tiles.attributes import join_attributes
-from cags_common.tiles.lod import LodLayer
-from cags_common.tiles.payloads import MAX_POSITION_BITS, PositionGrid, encode_base, encode_layer
+from cags_common.tiles.lod import MAX_POSITION_LAYERS, POSITION, LodLayer, position_layers
+from cags_common.tiles.payloads import (
+    MAX_POSITION_BITS,
+    PositionGrid,
+    encode_base,
+    encode_layer,
+    encode_position_layer,
+)
 from cags_encoder.codecs.lod_order import order_of
-from cags_encoder.quantiser.configs import QuantiserConfig, quantiser_config
+from cags_encoder.quantiser.configs import COARSE_STEP, QuantiserConfig, quantiser_config
 from cags_encoder.settings import EncodeSettings
 
 if TYPE_CHECKING:
@@ -25,10 +31,8 @@ if TYPE_CHECKING:
 SMALL_SPLATS = 0.25
 """Quantile of a tile's radii that determines its position step."""
 
-COARSE_STEP = 1.0
-"""Step of positions that motion refines, in radii of a tile's smaller splats."""
-
 MIN_POSITION_BITS = 4
+"""Of LoD 0."""
 
 
 def radii_of(splats: Splats) -> F32:
@@ -67,6 +71,9 @@ class SvqCodec:
     lod_gains_db: tuple[float, ...]
     position_bits: int | None
     position_step: float
+    """Of all levels, in radii of a tile's smaller splats."""
+    coarse_step: float | None = None
+    """The largest step of LoD 0, likewise, where an order may have layers of positions."""
     base_psnr_db: float | None = None
 
     @staticmethod
@@ -86,7 +93,15 @@ class SvqCodec:
         quantiser = train(samples, config, settings.seed, weights)
         order = order_of(settings.lod_order, quantiser.books)
         step = config.position_step if settings.position_step is None else settings.position_step
-        return SvqCodec(quantiser, order, (), settings.position_bits, step)
+        coarse = config.coarse_step if settings.position_bits is None else None
+        return SvqCodec(quantiser, order, (), settings.position_bits, step, coarse)
+
+    @property
+    def finest_layers(self) -> int:
+        """How many layers of positions lead from the largest step to that of all levels."""
+        if self.coarse_step is None:
+            return 0
+        return min(max(round(math.log2(self.coarse_step / self.position_step)), 0), MAX_POSITION_LAYERS)
 
     @property
     def top_psnr_db(self) -> float | None:
@@ -117,26 +132,50 @@ class SvqCodec:
 
     def shown(self, coded: SvqSplats) -> Splats:
         """Look up all layers of one tile and round its positions."""
+        return self.decode(replace(coded, means=self.means_at(coded)))
+
+    def means_at(self, coded: SvqSplats, layers: int | None = None) -> F32:
+        """Positions [n, 3] of one tile in a decoder with so many layers of positions; None: with all."""
         grid = self.grid(coded)
-        return self.decode(replace(coded, means=grid.dequantise(grid.quantise(coded.means))))
+        depth = grid.layers if layers is None else min(layers, grid.layers)
+        return grid.dequantise(grid.quantise(coded.means) >> np.uint32(grid.layers - depth), depth)
 
     def encode_tile(self, ids: Ids, coded: SvqSplats, *, id_range: bool) -> tuple[bytes, ...]:
-        """Positions and base layers, with positions by Draco; then one packed layer per LoD."""
+        """Coarse positions, by Draco, and base layers; then one packed layer per LoD."""
+        grid = self.grid(coded)
+        layers = (self._layer(coded, grid, item) for item in self.lod_order)
+        return self._base(ids, coded, grid, id_range=id_range), *layers
+
+    def base_bytes(self, coded: SvqSplats) -> int:
+        """Size of LoD 0 of one tile of a key frame."""
+        return len(self._base(np.arange(len(coded.means), dtype=np.int32), coded, self.grid(coded), id_range=True))
+
+    def layer_bytes(self, coded: SvqSplats, item: LodLayer) -> int:
+        """Size of one layer of one tile."""
+        return len(self._layer(coded, self.grid(coded), item))
+
+    def _base(self, ids: Ids, coded: SvqSplats, grid: PositionGrid, *, id_range: bool) -> bytes:
         books = self.quantiser.books
         base = {name: books[name].layer(codes, 0) for name, codes in coded.codes.items()}
-        payloads = [encode_base(ids, coded.means, base, self.grid(coded), books, id_range=id_range)]
-        for item in self.lod_order:
-            book = books[item.attribute]
-            layer = book.layer(coded.codes[item.attribute], item.layer)
-            payloads.append(encode_layer(layer, book.layer_bits[item.layer]))
-        return tuple(payloads)
+        return encode_base(ids, coded.means, base, grid, books, id_range=id_range)
+
+    def _layer(self, coded: SvqSplats, grid: PositionGrid, item: LodLayer) -> bytes:
+        if item.attribute == POSITION:
+            return encode_position_layer(coded.means, grid, item.layer)
+        book = self.quantiser.books[item.attribute]
+        return encode_layer(book.layer(coded.codes[item.attribute], item.layer), book.layer_bits[item.layer])
 
     def grid(self, coded: SvqSplats) -> PositionGrid:
-        """A tile's grid, fine enough for the smaller ones of its splats: an error shows against a splat's own size."""
+        """A tile's grid, fine enough for the smaller ones of its splats: an error shows against a splat's own size.
+
+        It has as many layers as the order, but none where motion refines positions.
+        """
         if self.position_bits is not None:
             return PositionGrid.over(coded.means, self.position_bits)
         radii = COARSE_STEP if coded.refined else self.position_step
         step = radii * float(np.quantile(coded.radii, SMALL_SPLATS)) if len(coded.radii) else 1.0
         extent = float(np.ptp(coded.means.astype(np.float64), axis=0).max(initial=0.0)) if len(coded.means) else 0.0
         bits = math.ceil(math.log2(extent / max(step, 1e-30) + 1))
-        return PositionGrid.over(coded.means, min(max(bits, MIN_POSITION_BITS), MAX_POSITION_BITS))
+        bits = min(max(bits, MIN_POSITION_BITS), MAX_POSITION_BITS)
+        layers = 0 if coded.refined else min(position_layers(self.lod_order), bits - MIN_POSITION_BITS)
+        return PositionGrid.over(coded.means, bits, layers)

@@ -90,6 +90,7 @@ class _Track:
     key: tuple[int, int]
     ids: Ids  # [n]
     anchors: F32  # [n, 3] decoded positions
+    coarse: F32  # [n, 3] those of level 0
     quats: F32  # [n, 4] of the source, when the looks were sent
     steps: Steps
     round: NDArray[np.bool_]
@@ -229,8 +230,10 @@ class MovingGroups:
         base = self._books["scale"].layer(coded.codes["scale"], 0)
         is_round = np.ptp(source.log_scales, axis=1) < np.log(ROUND)
         steps = Steps(self._steps.moves[base], self._steps.turns[base])
+        coarse = self._codec.means_at(coded, 0)
         return _Track(
-            key, tile.ids, shown.means, source.quats, steps, is_round, key[0], self._span, refined=coded.refined
+            *(key, tile.ids, shown.means, coarse, source.quats, steps, is_round, key[0], self._span),
+            refined=coded.refined,
         )
 
     # ------------------------------------------------------------------------------------------------------- updates
@@ -442,7 +445,7 @@ class MovingGroups:
             return None
         track.end, track.fades = window.last(), fades is not None
         return TrackSpan(
-            *(track.key, window.means, window.quats, window.present, track.anchors, track.quats),
+            *(track.key, window.means, window.quats, window.present, track.anchors, track.coarse, track.quats),
             *(track.steps, track.round, later or track.refined, self._lives(window), fades, self._tolerated),
         )
 

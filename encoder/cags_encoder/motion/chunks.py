@@ -63,7 +63,8 @@ class TrackSpan:
     means: F32  # [span + 1, n, 3] world, metres
     quats: F32  # [span + 1, n, 4]
     present: NDArray[np.bool_]  # [span + 1, n]
-    anchors: F32  # [n, 3] the looks' decoded positions
+    anchors: F32  # [n, 3] the looks' decoded positions, of every level
+    coarse: F32  # [n, 3] those of level 0, by which motion is told
     first: F32  # [n, 4] rotations when the looks were sent
     steps: Steps
     round: NDArray[np.bool_]  # [n] whose rotations are invisible
@@ -80,7 +81,7 @@ class TrackSpan:
 
     def trajectories(self, values: F64, *, turn: bool) -> Trajectories:
         """``values`` [span + 1, n, c] of all splats, to be told."""
-        return Trajectories(values, Anchors(self.anchors, self.steps.moves, self.steps.turns), self.starts, turn)
+        return Trajectories(values, Anchors(self.coarse, self.steps.moves, self.steps.turns), self.starts, turn)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,9 @@ LOGIT_RANGE = (-5.6, 5.0)
 """Range of opacity logits for clustering. Below 1/255 nothing is drawn; above 0.993, where captures have logits of 20,
 clusters would be wasted (measured in docs/lab/codec.md)."""
 
+COARSE_STEP = 1.0
+"""Step of positions of which further bits follow, in radii of a tile's smaller splats."""
+
 
 @dataclass(frozen=True, slots=True)
 class AttributeQuantiser:
@@ -67,6 +70,8 @@ class QuantiserConfig:
     """Bits of the largest enhancement layer."""
     position_step: float = 0.125
     """Step of positions, in radii of a tile's smaller splats."""
+    coarse_step: float | None = None
+    """Their step in LoD 0, if further bits are levels of their own."""
 
 
 def _paper(name: str, bits: tuple[int, ...]) -> QuantiserConfig:
@@ -79,7 +84,7 @@ def _paper(name: str, bits: tuple[int, ...]) -> QuantiserConfig:
 def layered(name: str, bits: dict[str, tuple[int, int]], position_step: float = 0.125) -> QuantiserConfig:
     """A configuration of our own: attribute -> (tree bits, refinement bits)."""
     parts = tuple(AttributeQuantiser(a, tree, False, more) for a, (tree, more) in bits.items())
-    return QuantiserConfig(name, parts, position_step=position_step)
+    return QuantiserConfig(name, parts, position_step=position_step, coarse_step=COARSE_STEP)
 
 
 # One code per splat and attribute, as in the paper's text; the authors' code has one SH code per colour channel.

@@ -190,8 +190,10 @@ class SharedLooks(SharedTile):
 
     @property
     def means(self) -> F32:
-        """Positions [n, 3], world, metres."""
-        return self.dequantise().means
+        """Positions [n, 3] as LoD 0 tells them, world, metres."""
+        state = self._tiles.at(self._key, 1).state
+        assert not isinstance(state, MotionTile | UpdateState)
+        return state.means
 
     def fork(self) -> SharedLooks:
         """Another handle on the same levels."""

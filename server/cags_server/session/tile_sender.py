@@ -95,9 +95,10 @@ class TileSender:
         fresh = [u for u in upgrades if u.from_lod == 0]
         base = [self._tile((u.frame, u.tile), (0, 1), BASE_PRIORITY, deadline_us) for u in fresh if u.together == 1]
         detail = [
-            self._tile((u.frame, u.tile), (0, u.together), URGENT_PRIORITY, deadline_us)
+            self._tile((u.frame, u.tile), run, URGENT_PRIORITY, deadline_us)
             for u in fresh
             if u.together > 1
+            for run in self._missing_runs(u.frame, u.tile, 0, u.together)
         ]
         detail += [
             self._tile((u.frame, u.tile), run, URGENT_PRIORITY if u.urgent else ENHANCEMENT_PRIORITY, deadline_us)

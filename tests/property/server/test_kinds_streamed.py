@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from cags_common.bundle import SourceFrame
@@ -18,6 +18,7 @@ from cags_common.motion.chunk import DEADZONES, LEVELS, REFINEMENT
 from cags_common.splats import Splats
 from cags_common.tiles.inventory import InventoryEntry
 from cags_common.tiles.kinds import TileKind
+from cags_common.tiles.updates import UpdateState
 from cags_protocol import events as ev
 from cags_protocol.wire.messages import Control, PoseSample, TileLayers
 from cags_server.link import MeasuredLink
@@ -141,11 +142,27 @@ def assert_shows_the_truth(viewer: Viewer, frame: int, *, exact: bool = True, gh
     assert ghosts or not len(phantom), f"frame {frame}: ghosts {phantom.tolist()}"
     if not exact:
         return
-    where = np.searchsorted(ids, truth.ids[seen])
+    where, begun = np.searchsorted(ids, truth.ids[seen]), on_its_way(viewer.library, frame)
     for (name, shown), (_, true) in zip(splats.take(where).arrays(), truth.splats.take(seen).arrays(), strict=True):
         same = np.isclose(shown, true).all(axis=tuple(range(1, true.ndim)))
-        wrong = truth.ids[seen][~same]
+        wrong = np.setdiff1d(truth.ids[seen][~same], begun.get(name, []))
         assert not len(wrong), f"frame {frame}: {name} of {wrong.tolist()}"
+
+
+def on_its_way(library: SceneLibrary, frame: int) -> dict[str, np.ndarray]:
+    """Column -> splats that a ramp has not brought to their new value. It begins at what the client has, and older
+    updates of what was out of sight are not sent after a newer one.
+    """
+    found: dict[str, list[int]] = {}
+    first = library.gof_start(frame)
+    for at, tile in ((f, tile) for f in range(first, frame + 1) for tile in library.entry(f).tiles):
+        if tile.kind != TileKind.UPDATE:
+            continue
+        state = library.reader.open_tile(at, tile.tile)
+        assert isinstance(state, UpdateState)
+        for column, change in state.values().items():
+            found.setdefault(column, []).extend(change.ids[at + change.frames.astype(int) > frame + 1].tolist())
+    return {column: np.array(ids) for column, ids in found.items()}
 
 
 def coarsely_there(
@@ -192,6 +209,7 @@ def test_a_client_that_resumes_in_the_middle_is_sent_what_it_lacks_and_nothing_a
 
 
 @given(seed=st.integers(0, 10_000), motion=st.booleans())
+@example(seed=4701, motion=True)  # the base of an update is lost while its levels arrive
 @settings(max_examples=10, deadline=None)
 def test_what_was_given_up_or_lost_comes_again_and_a_jump_sends_nothing_twice(seed: int, motion: bool) -> None:
     library, random = moving_library(f"memory://{uuid.uuid4().hex}", seed, motion=motion), np.random.default_rng(seed)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cags_common.bundle.quality import LodQuality
 from cags_common.raster import create
 from cags_common.splats import Splats
-from cags_common.tiles.lod import LodLayer, check_order
+from cags_common.tiles.lod import POSITION, LodLayer, check_order, position_layers
 from cags_encoder import EncodeSettings, measuring
 from cags_encoder.codecs.svq import SvqCodec
 from cags_encoder.measuring import LodMeasurement, cheapest_first, measure, standing, standing_still
@@ -73,17 +73,41 @@ def test_positions_are_as_fine_as_the_order_of_overlapping_splats_needs(splats: 
         pytest.skip("the native kernels are not installed; measuring needs dozens of renders")
     codec, cameras = SvqCodec.train(splats, EncodeSettings()), cameras_around(Focus((0, 0, 0), 2.0), (0, 1, 0), 3)
 
-    def chosen(still: NDArray[np.bool_] | None) -> LodMeasurement:
-        return measure(codec, splats, cameras, rasteriser, lambda *_: None, still=still)
+    def chosen(still: NDArray[np.bool_], *, refine: bool) -> LodMeasurement:
+        return measure(codec, splats, cameras, rasteriser, lambda *_: None, still=still, refine=refine)
 
-    n = len(splats)
-    found, coarse, moving = (chosen(still) for still in (np.ones(n, np.bool_), None, np.zeros(n, np.bool_)))
-    assert moving.position_step == codec.position_step, "chunks refine the positions of what moves"
+    all_still = np.ones(len(splats), np.bool_)
+    found, coarse, moving = (
+        chosen(all_still, refine=True),
+        chosen(all_still, refine=False),
+        chosen(~all_still, refine=True),
+    )
+    assert moving.position_step >= codec.position_step, "chunks refine the positions of what moves"
     assert (found.position_step < codec.position_step) == finer
-    assert found.position_step >= codec.position_step / 4 and coarse.position_step == codec.position_step
+    assert found.position_step >= codec.position_step / 8 and coarse.position_step >= codec.position_step
     assert found.applied(codec).position_step == found.position_step
     if finer:
-        assert found.quality.ladder[-1].size_bytes > coarse.quality.ladder[-1].size_bytes, "a halving takes 3 bits"
+        top, base = found.quality.ladder[-1], found.quality.ladder[0]
+        assert top.size_bytes > coarse.quality.ladder[-1].size_bytes, "a halving takes 3 bits"
+        assert top.psnr_db > coarse.quality.ladder[-1].psnr_db + 5
+        assert base.size_bytes <= coarse.quality.ladder[0].size_bytes + 16, "of a level, not of the base"
+
+
+def test_a_ladder_without_the_last_levels_of_positions_has_a_larger_step() -> None:
+    """Of splats that are large and faint nobody sees where exactly they are."""
+    rasteriser = create("auto")
+    if rasteriser.name == "oracle":
+        pytest.skip("the native kernels are not installed; measuring needs dozens of renders")
+    splats, settings = mist(), EncodeSettings(position_step=1 / 64)
+    codec, cameras = SvqCodec.train(splats, settings), cameras_around(Focus((0, 0, 0), 2.0), (0, 1, 0), 3)
+    still = np.ones(len(splats), np.bool_)
+    found = measure(codec, splats, cameras, rasteriser, lambda *_: None, still=still)
+    left_out = codec.finest_layers - position_layers(found.order)
+    assert left_out > 0 and found.position_step == codec.position_step * 2**left_out
+    shorter = found.applied(codec)
+    coded = shorter.quantise(shorter.prepare(splats))
+    grid, whole = shorter.grid(coded), codec.grid(coded)
+    assert grid.layers == position_layers(found.order) and abs(whole.bits - left_out - grid.bits) <= 1
 
 
 def test_what_stands_still_is_found_whatever_the_order_of_rows() -> None:
@@ -124,9 +148,11 @@ def test_a_measured_order_is_complete_and_its_gains_add_up() -> None:
         pytest.skip("the native kernels are not installed; measuring needs dozens of renders")
     done: list[int] = []
     cameras = cameras_around(Focus((0, 0, 0), 2.0), (0, 1, 0), 3)
-    found = measure(codec, splats, cameras, rasteriser, lambda at, _: done.append(at))
+    still = np.ones(len(splats), np.bool_)
+    found = measure(codec, splats, cameras, rasteriser, lambda at, _: done.append(at), still=still)
     layers = {book.attribute: book.enhancement_layers for book in codec.quantiser.books}
     better = found.applied(codec)
+    assert 0 < position_layers(better.lod_order) <= codec.finest_layers == 3
     check_order(better.lod_order, layers)
     assert len(better.lod_gains_db) == len(better.lod_order)
     assert sum(better.lod_gains_db) > 15
@@ -135,7 +161,8 @@ def test_a_measured_order_is_complete_and_its_gains_add_up() -> None:
     levels_db = np.cumsum([better.base_psnr_db, *better.lod_gains_db])
     np.testing.assert_allclose(levels_db, [row.psnr_db for row in ladder], atol=0.01)
     assert [row.lod for row in ladder] == list(range(len(better.lod_order) + 1))
-    assert {(row.attribute, row.layer) for row in alone} == {(a, k) for a in layers for k in range(layers[a] + 1)}
+    every = layers | {POSITION: codec.finest_layers}
+    assert {(row.attribute, row.layer) for row in alone} == {(a, k) for a in every for k in range(every[a] + 1)}
     assert ladder[-1].psnr_db == max(row.psnr_db for row in alone), "all layers of all attributes"
     assert ladder[-1].ssim > ladder[0].ssim and ladder[-1].size_bytes > ladder[0].size_bytes > 0
     assert LodQuality.from_json(found.quality.to_json()) == found.quality
@@ -165,7 +192,8 @@ def test_no_level_is_made_that_nobody_can_see(enough_db: float, monkeypatch: pyt
     cameras = cameras_around(Focus((0, 0, 0), 2.0), (0, 1, 0), 2)
 
     def measured(*later: Splats) -> LodMeasurement:
-        return measure(codec, splats, cameras, rasteriser, lambda *_: None, later=later)
+        still = np.zeros(len(splats), np.bool_)
+        return measure(codec, splats, cameras, rasteriser, lambda *_: None, still=still, later=later)
 
     found = measured()
     ladder_db = [row.psnr_db for row in found.quality.ladder]

@@ -18,8 +18,8 @@ import numpy as np
 from cags_common.bundle.codecs import tile_codec
 from cags_common.bundle.manifest import VERSION, Manifest
 from cags_common.tiles.attributes import ATTRIBUTE_DIMS
-from cags_common.tiles.lod import LodLayer
-from cags_common.tiles.payloads import PositionGrid, encode_base, encode_layer
+from cags_common.tiles.lod import POSITION, LodLayer
+from cags_common.tiles.payloads import PositionGrid, encode_base, encode_layer, encode_position_layer
 from cags_common.tiles.ramps import LONGEST_RAMP
 from cags_common.tiles.svq import Codebook, CodebookSet
 from cags_common.tiles.updates import RAMP_COLUMNS, Change, UpdateState, encode_update
@@ -33,6 +33,8 @@ STAGES = {
     "sh1": ((1, 8), ()),
 }
 CLOUDS = {"a key frame's tile": True, "a later frame's tile": False}
+POSITION_LAYERS = {True: 3, False: 2}
+"""Layers of positions of a key frame's tile, as many as the order has, and of a later frame's, which has fewer."""
 
 
 def books() -> CodebookSet:
@@ -52,9 +54,11 @@ def books() -> CodebookSet:
 
 def manifest(codebooks: CodebookSet) -> Manifest:
     """The fields that a tile codec reads, and legal ones for the rest."""
-    order = tuple(
-        LodLayer(book.attribute, layer) for layer in (1, 2, 3) for book in codebooks if layer <= book.enhancement_layers
-    )
+    layers = {
+        **{book.attribute: book.enhancement_layers for book in codebooks},
+        POSITION: max(POSITION_LAYERS.values()),
+    }
+    order = tuple(LodLayer(name, layer) for layer in (1, 2, 3) for name, most in layers.items() if layer <= most)
     return Manifest("vector", 30.0, 1, (0,), (99,), 1, ((0, 0, 0), (1, 1, 1)), order, ())
 
 
@@ -65,8 +69,12 @@ def payloads(codebooks: CodebookSet, *, id_range: bool) -> list[bytes]:
     ids = np.arange(7, 7 + SPLATS, dtype=np.int32) * (1 if id_range else 3)
     codes = {b.attribute: random.integers(0, 1 << sum(b.layer_bits), SPLATS).astype(np.uint32) for b in codebooks}
     base = {book.attribute: book.layer(codes[book.attribute], 0) for book in codebooks}
-    out = [encode_base(ids, means, base, PositionGrid.over(means, 9), codebooks, id_range=id_range)]
+    grid = PositionGrid.over(means, 12, POSITION_LAYERS[id_range])
+    out = [encode_base(ids, means, base, grid, codebooks, id_range=id_range)]
     for item in manifest(codebooks).lod_order:
+        if item.attribute == POSITION:
+            out.append(encode_position_layer(means, grid, item.layer))
+            continue
         book = codebooks[item.attribute]
         out.append(encode_layer(book.layer(codes[item.attribute], item.layer), book.layer_bits[item.layer]))
     return out

@@ -7,6 +7,7 @@ import type { Draco } from "./draco.ts";
 import type { Kernels } from "./kernels.ts";
 import { LooksTile, type Steps } from "./looks.ts";
 import type { LodLayer, Manifest } from "./manifest.ts";
+import { MAX_POSITION_LAYERS, POSITION } from "./positions.ts";
 import { decodeBase } from "./tiles.ts";
 import { UPDATE_VERSION, UpdateTile } from "./updates.ts";
 
@@ -52,7 +53,7 @@ export class TileCodec {
 }
 
 function checkOrder(order: readonly LodLayer[], layers: ReadonlyMap<string, number>): void {
-  const seen = new Map([...layers.keys()].map((name) => [name, 0]));
+  const seen = new Map([...layers.keys(), POSITION].map((name) => [name, 0]));
   for (const [i, item] of order.entries()) {
     const before = seen.get(item.attribute);
     if (before === undefined) throw new BundleError(`LoD ${i + 1} refines attribute '${item.attribute}', which has no codebook`);
@@ -60,6 +61,10 @@ function checkOrder(order: readonly LodLayer[], layers: ReadonlyMap<string, numb
       throw new BundleError(`LoD ${i + 1} is layer ${item.layer} of '${item.attribute}', expected layer ${before + 1}`);
     }
     seen.set(item.attribute, item.layer);
+  }
+  const positions = seen.get(POSITION)!;
+  if (positions > MAX_POSITION_LAYERS) {
+    throw new BundleError(`LoD order has ${positions} layers of positions; at most ${MAX_POSITION_LAYERS} exist`);
   }
   for (const [name, count] of layers) {
     if (seen.get(name) !== count) throw new BundleError(`LoD order has ${seen.get(name)} of the ${count} layers of '${name}'`);

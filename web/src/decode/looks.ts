@@ -4,6 +4,7 @@ import type { Dequantiser } from "./dequantise.ts";
 import type { LodLayer } from "./manifest.ts";
 import { type PackedCodes, unpackInto } from "./packing.ts";
 import type { Splats } from "./splats.ts";
+import { POSITION, PositionLayers } from "./positions.ts";
 import { type BaseTile, decodeLayer } from "./tiles.ts";
 
 /** Units of motion by splat: metres, and of a quaternion's imaginary part. */
@@ -24,6 +25,7 @@ export class LooksTile {
   private fresh: Map<string, PackedCodes[]>;
   private depth: Map<string, number>;
   private waiting: Map<string, PackedCodes>;
+  private positions: PositionLayers;
 
   /** `tables` are units of motion by the base code of scale. */
   constructor(base: BaseTile, dequantiser: Dequantiser, order: readonly LodLayer[], tables: Steps | undefined) {
@@ -33,6 +35,7 @@ export class LooksTile {
     this.fresh = new Map([...base.layers].map(([name, layer]) => [name, [layer]]));
     this.depth = new Map([...dequantiser.books.keys()].map((name) => [name, 0]));
     this.waiting = new Map();
+    this.positions = new PositionLayers(base.grid.layers);
     this.steps = tables && stepsOf(base, tables);
   }
 
@@ -45,14 +48,15 @@ export class LooksTile {
     return this.base.ids;
   }
 
-  /** Positions [n, 3]. */
+  /** Positions [n, 3] as LoD 0 tells them, by which motion is told; {@link dequantise} gives those of all levels. */
   get means(): Float32Array {
     return this.base.means;
   }
 
   /** Highest LoD up to which everything has come. */
   get lod(): number {
-    const missing = this.order.findIndex((item) => this.depth.get(item.attribute)! < item.layer);
+    const depth = (name: string): number => (name === POSITION ? this.positions.depth : this.depth.get(name)!);
+    const missing = this.order.findIndex((item) => depth(item.attribute) < item.layer);
     return missing < 0 ? this.order.length : missing;
   }
 
@@ -60,6 +64,7 @@ export class LooksTile {
   addLayer(lod: number, payload: Uint8Array): boolean {
     const item = this.order[lod - 1];
     if (!item) throw new DecodeError(`tile: LoD ${lod} is outside 1 to ${this.order.length}`);
+    if (item.attribute === POSITION) return this.positions.add(item.layer, payload, this.length);
     if (item.layer <= this.depth.get(item.attribute)!) return false;
     const bits = this.dequantiser.books.get(item.attribute)!.layerBits[item.layer]!;
     this.waiting.set(`${item.attribute}/${item.layer}`, decodeLayer(payload, this.length, bits));
@@ -73,6 +78,7 @@ export class LooksTile {
     other.fresh = new Map([...this.fresh].map(([name, parts]) => [name, [...parts]]));
     other.depth = new Map(this.depth);
     other.waiting = new Map(this.waiting);
+    other.positions = this.positions.fork();
     return other;
   }
 
@@ -80,12 +86,14 @@ export class LooksTile {
   reduced(lods: number): LooksTile {
     const other = this.fork();
     other.waiting.clear();
+    const kept = this.order.slice(0, Math.max(lods - 1, 0));
+    const depthOf = (name: string): number => Math.max(0, ...kept.filter((i) => i.attribute === name).map((i) => i.layer));
+    other.positions.keep(depthOf(POSITION));
     const codes = this.codes?.slice();
     let row = 0;
     for (const [name, held] of this.depth) {
       const book = this.dequantiser.books.get(name)!;
-      const kept = this.order.slice(0, Math.max(lods - 1, 0)).filter((item) => item.attribute === name);
-      const depth = Math.max(0, ...kept.map((item) => item.layer));
+      const depth = depthOf(name);
       const merged = held + 1 - this.fresh.get(name)!.length; // layers that the codes hold
       other.fresh.set(name, this.fresh.get(name)!.slice(0, Math.max(depth + 1 - merged, 0)));
       other.depth.set(name, depth);
@@ -103,7 +111,8 @@ export class LooksTile {
   /** The tile's splats [n] at the depths there are. */
   dequantise(): Splats {
     const fresh = [...this.fresh].map(([name, parts]) => ({ first: this.depth.get(name)! + 1 - parts.length, parts }));
-    const { splats, codes } = this.dequantiser.run(this.base.means, this.codes, fresh);
+    const means = this.positions.of(this.base, this.dequantiser);
+    const { splats, codes } = this.dequantiser.run(means, this.codes, fresh);
     this.codes = codes;
     this.fresh = new Map([...this.fresh.keys()].map((name) => [name, []]));
     return splats;

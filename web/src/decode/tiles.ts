@@ -5,17 +5,24 @@ import { type Codebook, MAX_LAYER_BITS } from "./codebooks.ts";
 import type { Dequantiser } from "./dequantise.ts";
 import type { Draco } from "./draco.ts";
 import { decodeIds, MAX_SPLATS, type PackedCodes, packedBytes } from "./packing.ts";
+import { MAX_POSITION_LAYERS, meansOf, type PositionGrid } from "./positions.ts";
 
-export const BASE_VERSION = 2;
+export const BASE_VERSION = 9;
 export const MAX_TILE_SPLATS = 65_536;
 const MAX_POSITION_BITS = 22;
 const MAX_POSITION = 1e30;
 const HEADER_BYTES = 32;
 const ID_RANGE = 1;
+/** The four high bits of the flags are the number of layers of positions. */
+const LAYERS_SHIFT = 4;
 
 /** What LoD 0 of a tile holds. */
 export interface BaseTile {
   readonly ids: Int32Array;
+  readonly grid: PositionGrid;
+  /** Integer coordinates [n, 3], without the bits of the layers of positions. */
+  readonly cells: Float32Array;
+  /** Positions [n, 3] as LoD 0 tells them. */
   readonly means: Float32Array;
   /** Attribute -> n base codes, in coding order. */
   readonly layers: ReadonlyMap<string, PackedCodes>;
@@ -26,8 +33,9 @@ interface Header {
   readonly firstId: number | undefined;
   readonly idBytes: number;
   readonly dracoBytes: number;
-  readonly origin: readonly [number, number, number];
-  readonly step: number;
+  /** Bits of a coordinate in LoD 0. */
+  readonly bits: number;
+  readonly grid: PositionGrid;
 }
 
 /** Decode LoD 0. Raises {@link DecodeError} for damaged payloads. */
@@ -37,11 +45,14 @@ export function decodeBase(payload: Uint8Array, dequantiser: Dequantiser, draco:
   const ids = readIds(payload, head);
   const first = HEADER_BYTES + head.idBytes;
   const layers = baseLayers(payload.subarray(first + head.dracoBytes), head.splats, books);
-  if (!head.splats) return { ids, means: new Float32Array(0), layers };
+  const { grid, bits } = head;
+  if (!head.splats) return { ids, grid, cells: new Float32Array(0), means: new Float32Array(0), layers };
   const cells = draco.points(payload.subarray(first, first + head.dracoBytes), head.splats);
-  const means = dequantiser.positions(cells, head.origin, head.step);
-  if (!means.every(Number.isFinite)) throw new DecodeError("tile: a position is not finite");
-  return { ids, means, layers };
+  const end = 2 ** Math.max(bits, 1);
+  if (!cells.every((cell) => cell >= 0 && cell < end)) {
+    throw new DecodeError(`tile: a position is outside its grid of ${bits} bits`);
+  }
+  return { ids, grid, cells, means: meansOf(cells, grid, dequantiser), layers };
 }
 
 /** One enhancement layer: `count` codes of `bits` bits. Raises {@link DecodeError}. */
@@ -65,7 +76,8 @@ function baseLayers(data: Uint8Array, count: number, books: ReadonlyMap<string, 
 function readHeader(payload: Uint8Array, attributes: number): Header {
   if (payload.length < HEADER_BYTES) throw new DecodeError(`tile: ${payload.length} bytes are too few for a base layer`);
   const v = new DataView(payload.buffer, payload.byteOffset, HEADER_BYTES);
-  const [version, flags, bits, columns] = [v.getUint8(0), v.getUint8(1), v.getUint8(2), v.getUint8(3)];
+  const [version, bits, columns] = [v.getUint8(0), v.getUint8(2), v.getUint8(3)];
+  const [layers, flags] = [v.getUint8(1) >> LAYERS_SHIFT, v.getUint8(1) & ((1 << LAYERS_SHIFT) - 1)];
   const [splats, idField, dracoBytes] = [v.getUint32(4, true), v.getUint32(8, true), v.getUint32(12, true)];
   const origin = [v.getFloat32(16, true), v.getFloat32(20, true), v.getFloat32(24, true)] as const;
   const step = v.getFloat32(28, true);
@@ -73,9 +85,10 @@ function readHeader(payload: Uint8Array, attributes: number): Header {
     throw new DecodeError(`tile: base layer of version ${version}, flags ${flags}; this program reads ${BASE_VERSION}`);
   }
   const [firstId, idBytes] = flags & ID_RANGE ? [idField, 0] : [undefined, idField];
-  if (splats > MAX_TILE_SPLATS || bits > MAX_POSITION_BITS || idBytes + dracoBytes > payload.length - HEADER_BYTES) {
-    const claims = `${splats} splats, ${bits} position bits, ${idBytes} bytes of ids and ${dracoBytes} of positions`;
-    throw new DecodeError(`tile: claims ${claims}; beyond bounds`);
+  const many = splats > MAX_TILE_SPLATS || bits > MAX_POSITION_BITS || layers > Math.min(bits, MAX_POSITION_LAYERS);
+  if (many || idBytes + dracoBytes > payload.length - HEADER_BYTES) {
+    const claims = `${splats} splats, ${bits} position bits, ${layers} of them layers, ${idBytes} bytes of ids`;
+    throw new DecodeError(`tile: claims ${claims}, ${dracoBytes} of positions; beyond bounds`);
   }
   if (firstId !== undefined && firstId > MAX_SPLATS - splats) {
     throw new DecodeError(`tile: first id ${firstId} is beyond ${MAX_SPLATS} splats`);
@@ -85,7 +98,7 @@ function readHeader(payload: Uint8Array, attributes: number): Header {
   if (![...origin, step].every(Number.isFinite) || step < 0 || reach > MAX_POSITION) {
     throw new DecodeError(`tile: its position grid is not finite or reaches beyond ${MAX_POSITION}`);
   }
-  return { splats, firstId, idBytes, dracoBytes, origin, step };
+  return { splats, firstId, idBytes, dracoBytes, bits: bits - layers, grid: { origin, step, layers } };
 }
 
 function readIds(payload: Uint8Array, head: Header): Int32Array {

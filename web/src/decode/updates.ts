@@ -4,6 +4,7 @@ import { unsqueeze } from "../bytes/inflate.ts";
 import type { Codebook } from "./codebooks.ts";
 import type { LodLayer } from "./manifest.ts";
 import { decodeIds, MAX_SPLATS, type PackedCodes, packedBytes, unpackInto } from "./packing.ts";
+import { POSITION } from "./positions.ts";
 import { alphaLogit, type Column, SH_REST_ATTRIBUTES } from "./splats.ts";
 import { decodeLayer, MAX_TILE_SPLATS } from "./tiles.ts";
 
@@ -68,7 +69,7 @@ export class UpdateTile {
   /** Highest LoD up to which everything has come; what nothing changed of has nothing to come. */
   get lod(): number {
     const missing = this.order.findIndex(
-      (item) => this.codes.get(item.attribute)!.length > 0 && this.depth.get(item.attribute)! <= item.layer,
+      (item) => this.changes(item.attribute) > 0 && this.depth.get(item.attribute)! <= item.layer,
     );
     return missing < 0 ? this.order.length : missing;
   }
@@ -77,11 +78,16 @@ export class UpdateTile {
   addLayer(lod: number, payload: Uint8Array): boolean {
     const item = this.order[lod - 1];
     if (!item) throw new DecodeError(`update: LoD ${lod} is outside 1 to ${this.order.length}`);
-    const count = this.codes.get(item.attribute)!.length;
+    const count = this.changes(item.attribute);
     if (!count || item.layer < this.depth.get(item.attribute)!) return false;
     const bits = this.books.get(item.attribute)!.layerBits[item.layer]!;
     this.waiting.set(`${item.attribute}/${item.layer}`, decodeLayer(payload, count, bits));
     return this.absorb(item.attribute);
+  }
+
+  /** Splats of which an attribute changes; positions never do. */
+  private changes(name: string): number {
+    return name === POSITION ? 0 : this.codes.get(name)!.length;
   }
 
   /** Another state of what has come; what is added to one of the two does not change the other. */

@@ -12,13 +12,16 @@ from hypothesis import strategies as st
 
 from cags_common.coding.packing import decode_ids, encode_ids, gzip_bytes, pack_bits, packed_bytes, unpack_bits
 from cags_common.errors import DecodeError
+from cags_common.tiles.lod import MAX_POSITION_LAYERS
 from cags_common.tiles.payloads import (
     PositionGrid,
     decode_base,
     decode_base_ids,
     decode_layer,
+    decode_position_layer,
     encode_base,
     encode_layer,
+    encode_position_layer,
 )
 from cags_common.tiles.svq import CodebookSet
 from support.codec_scenes import books, cloud
@@ -31,12 +34,12 @@ QUICK = settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
 def some_payload() -> bytes:
     means = cloud(60).means
     codes = {name: np.arange(60, dtype=np.uint32) % 16 for name in BOOKS.attributes}
-    return encode_base(
-        np.arange(0, 120, 2, dtype=np.int32), means, codes, PositionGrid.over(means, 12), BOOKS, id_range=False
-    )
+    return encode_base(np.arange(0, 120, 2, dtype=np.int32), means, codes, GRID, BOOKS, id_range=False)
 
 
+GRID = PositionGrid.over(cloud(60).means, 12, 3)
 PAYLOAD = some_payload()
+POSITION_LAYER = encode_position_layer(cloud(60).means, GRID, 2)
 LAYER = encode_layer(np.arange(60, dtype=np.uint32) % 4, 2)
 
 
@@ -69,10 +72,36 @@ def test_positions_come_back_within_half_a_step(points: list[tuple[float, float,
     assert np.abs(tile.means.astype(np.float64) - means).max() <= grid.step * 0.5000001 + rounding
 
 
+@given(
+    st.lists(st.tuples(*[st.floats(-1e6, 1e6, width=32)] * 3), min_size=1, max_size=30),
+    st.integers(1, 22),
+    st.integers(0, MAX_POSITION_LAYERS),
+)
+@QUICK
+def test_every_layer_halves_the_cell_that_a_position_is_in(
+    points: list[tuple[float, float, float]], bits: int, layers: int
+) -> None:
+    means, layers = np.array(points, np.float32), min(layers, bits)
+    grid = PositionGrid.over(means, bits, layers)
+    codes = {name: np.zeros(len(means), np.uint32) for name in BOOKS.attributes}
+    ids = np.arange(len(means), dtype=np.int32)
+    tile = decode_base(encode_base(ids, means, codes, grid, BOOKS, id_range=True), BOOKS)
+    rounding = np.spacing(np.abs(means).max()) * 2
+    come: list[np.ndarray] = []
+    for depth in range(layers + 1):
+        if depth:
+            come.append(decode_position_layer(encode_position_layer(means, grid, depth), len(means)))
+        cell = grid.step * 2 ** (layers - depth)
+        shown = tile.refined(come)
+        assert np.abs(shown.astype(np.float64) - means).max() <= cell * 0.5000001 + grid.step * 0.5 + rounding
+    assert np.array_equal(shown, grid.dequantise(grid.quantise(means)))
+
+
 MAGIC = BOOKS.to_bytes()[:8]
 PARSERS: dict[str, tuple[Callable[[bytes], object], bytes]] = {
     "base": (lambda bad: decode_base(bad, BOOKS), PAYLOAD),
     "base ids": (decode_base_ids, PAYLOAD),
+    "layer of positions": (lambda bad: decode_position_layer(bad, 60), POSITION_LAYER),
     "layer": (lambda bad: decode_layer(bad, 60, 2), LAYER),
     "ids": (decode_ids, encode_ids(np.arange(0, 900, 7, dtype=np.int32))),
     "codebooks": (CodebookSet.from_bytes, BOOKS.to_bytes()),

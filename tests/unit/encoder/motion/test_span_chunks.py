@@ -33,11 +33,12 @@ def drifting(lives: np.ndarray, noise: float, **options: Any) -> TrackSpan:
     present = np.arange(SPAN + 1)[:, None] < lives
     told = np.minimum(lives, SPAN + 1).astype(np.uint8)
     given = {"starts": False, "lives": None if present.all() else told, "fades": None, **options}
-    return TrackSpan((0, 0), means, quats, present, anchors, quats[0], steps, still, **given)
+    coarse = (np.rint(anchors * 8) / 8).astype(np.float32)
+    return TrackSpan((0, 0), means, quats, present, anchors, coarse, quats[0], steps, still, **given)
 
 
 def anchors_of(span: TrackSpan) -> Anchors:
-    return Anchors(span.anchors, span.steps.moves, span.steps.turns)
+    return Anchors(span.coarse, span.steps.moves, span.steps.turns)
 
 
 def decoded(span: TrackSpan) -> chunks.Chunk:
@@ -94,13 +95,13 @@ def test_what_turns_as_one_comes_back_and_takes_fewer_bytes_in_the_order_of_a_ti
     quats = np.zeros((SPAN + 1, count, 4), np.float32)
     quats[:, :, 0], quats[:, :, 3] = np.cos(angles / 2)[:, None], np.sin(angles / 2)[:, None]
     span = drifting(np.full(count, SPAN + 1), 0.0)
-    span = replace(span, means=means, quats=quats, anchors=means[0], first=quats[0])
+    span = replace(span, means=means, quats=quats, anchors=means[0], coarse=means[0], first=quats[0])
     chunk = decoded(span)
     assert chunk.moves is not None and chunk.turns is not None
     shown = evaluate(chunk, float(SPAN), Looks(span.anchors, span.first, np.zeros(count, np.float32)), span.steps)
     assert np.abs(shown.means - means[-1]).max() <= 3 * STEP
     assert np.abs(shown.quats - quats[-1]).max() <= 4 * STEP
     order = random.permutation(count)
-    shuffled = replace(span, means=means[:, order], anchors=means[0, order])
+    shuffled = replace(span, means=means[:, order], anchors=means[0, order], coarse=means[0, order])
     together, apart = (sum(map(len, encode_span(each).payloads)) for each in (span, shuffled))
     assert together < 0.8 * apart
