@@ -156,9 +156,10 @@ class GpuScene:
         resident = self._resident
         if resident is None:
             return
+        staged = resident.staged(columns)
         try:
             with resident.gpu.used():
-                resident.change(columns)
+                resident.change(columns.flags, staged)
         except DeviceLostError as error:
             self._resident = None
             self._keeper.lost(resident.workspace, str(error))
@@ -204,4 +205,5 @@ def _last_of_each(rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[n
 
 def _can_be_drawn(means: F32, logits: F32, quats: F32) -> bool:
     finite = all(bool(np.isfinite(array).all()) for array in (means, logits, quats))
-    return finite and not (len(quats) and np.linalg.norm(quats.astype(np.float64), axis=1).min() < MIN_QUATERNION_NORM)
+    squares = np.einsum("ij,ij->i", quats, quats, dtype=np.float64)
+    return finite and float(squares.min(initial=np.inf)) >= MIN_QUATERNION_NORM**2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count, takewhile
 from typing import Protocol, TypeVar
@@ -63,23 +63,27 @@ class Columns:
         motion = splats.means, splats.logit_opacities, splats.quats
         return cls(rows, motion, (splats.log_scales, splats.sh_rest), splats.sh0)
 
-    def packed(self, start: int, stop: int) -> NDArray[np.uint32]:
-        """Rows ``start`` to ``stop`` as they are staged [M, 1 + words]."""
-        part = slice(start, stop)
+    def staged(self, max_bytes: int) -> list[NDArray[np.uint32]]:
+        """Rows as they go to the device [m, 1 + words], in pieces of at most ``max_bytes``."""
         parts: list[F32] = []
         if self.motion:
-            parts += [self.motion[0][part], self.motion[1][part, None], self.motion[2][part]]
+            parts += [self.motion[0], self.motion[1][:, None], self.motion[2]]
         if self.looks:
-            parts.append(self.looks[0][part])
+            parts.append(self.looks[0])
         if self.colours is not None:
-            parts.append(self.colours[part])
+            parts.append(self.colours)
         if self.looks:
-            parts.append(self.looks[1][part])
-        rows = self.rows[part].astype(np.uint32)[:, None]
-        words = [
-            np.ascontiguousarray(p, np.float32).view(np.uint32).reshape(len(p), math.prod(p.shape[1:])) for p in parts
-        ]
-        return np.concatenate([rows, *words], axis=1)
+            parts.append(self.looks[1])
+        words = [part.reshape(len(self.rows), math.prod(part.shape[1:])) for part in parts]
+        piece = max(1, max_bytes // (4 * (1 + sum(word.shape[1] for word in words))))
+        return [self._packed(words, slice(start, start + piece)) for start in range(0, len(self.rows), piece)]
+
+    def _packed(self, words: Sequence[F32], part: slice) -> NDArray[np.uint32]:
+        rows = self.rows[part]
+        out = np.empty((len(rows), 1 + sum(word.shape[1] for word in words)), np.uint32)
+        out[:, 0] = rows
+        np.concatenate([word[part] for word in words], axis=1, out=out.view(np.float32)[:, 1:])
+        return out
 
     @property
     def flags(self) -> dict[str, bool]:
@@ -190,7 +194,8 @@ class ResidentScene:
         self._recorded: dict[object, list[Dispatch]] = {}
         self._recorded_for = -1
         self._asked_at = -1
-        self.change(Columns.of(np.arange(self.count), splats))
+        every = Columns.of(np.arange(self.count), splats)
+        self.change(every.flags, self.staged(every))
 
     def _chunked(self) -> list[Chunk]:
         words = 3 * self.sh_count
@@ -202,25 +207,23 @@ class ResidentScene:
             chunks.append(Chunk(first, size, self.gpu.buffer(4 * words * size), job))
         return chunks
 
-    def change(self, columns: Columns) -> None:
-        """Replace columns of rows; the cost is proportional to their number."""
-        total = len(columns.rows)
-        if not total:
-            return
-        width = columns.packed(0, 0).shape[1] - 1
-        piece = max(1, min(STAGED_BYTES, self.gpu.max_binding_bytes) // (4 * (1 + width)))
-        for start in range(0, total, piece):
-            stop = min(start + piece, total)
-            self._stage(columns.packed(start, stop), columns.flags, width)
-        self._unsorted = True
-        self.changes += 1
+    def staged(self, columns: Columns) -> list[NDArray[np.uint32]]:
+        """``columns`` as :meth:`change` takes them. Needs no lock: others may record meanwhile."""
+        return columns.staged(min(STAGED_BYTES, self.gpu.max_binding_bytes))
 
-    def _stage(self, packed: NDArray[np.uint32], flags: Mapping[str, bool], width: int) -> None:
+    def change(self, flags: Mapping[str, bool], staged: Sequence[NDArray[np.uint32]]) -> None:
+        """Replace columns of rows; the cost is proportional to their number."""
+        for packed in staged:
+            self._stage(packed, flags)
+        self._unsorted |= bool(staged)
+        self.changes += bool(staged)
+
+    def _stage(self, packed: NDArray[np.uint32], flags: Mapping[str, bool]) -> None:
         import wgpu
 
         staged = self.gpu.device.create_buffer_with_data(data=packed, usage=wgpu.BufferUsage.STORAGE)
         job = self.gpu.buffer(UPDATE.size, uniform=True)  # not a shared one: hardly two updates have as many rows
-        words = UPDATE.pack(rows=len(packed), sh_words=3 * self.sh_count, width=width)
+        words = UPDATE.pack(rows=len(packed), sh_words=3 * self.sh_count, width=packed.shape[1] - 1)
         self.gpu.device.queue.write_buffer(job, 0, words)
         encoder = self.gpu.device.create_command_encoder()
         for chunk in self._chunks:

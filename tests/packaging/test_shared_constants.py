@@ -22,7 +22,7 @@ OF_THE_PAGE = {
         MAX_EVICTED_TILES MAX_TEXT_BYTES""",
     ("wire/limits", "cags_common.tiles.lod"): "MAX_LODS",
     ("wire/cadence", "cags_protocol.cadence"): "EVERY_FRAME LEAST_PERMILLE",
-    ("wire/assembly", "cags_protocol.sessions.blobs"): "CODEBOOKS_BLOB MAX_BLOBS_AT_ONCE",
+    ("wire/assembly", "cags_protocol.sessions.blobs"): "CODEBOOKS_BLOB BASE_CODEBOOKS_BLOB MAX_BLOBS_AT_ONCE",
     ("wire/session", "cags_protocol.sessions.client"): "MAX_PENDING_EVICTIONS MAX_DAMAGED",
     ("wire/inventory", "cags_protocol.wire.inventory"): "MAX_INVENTORY_TILES",
     ("player/quality", "cags_client.playback.quality"): """SPLAT_SHARE DOWN_AFTER_US UP_AFTER_US UP_AFTER_MOST_US

@@ -130,6 +130,9 @@ class FakeReader:
     def codebooks(self) -> bytes:
         return b"codebooks"
 
+    def base_codebooks(self) -> bytes | None:
+        return None
+
     def weights(self) -> bytes | None:
         return None
 

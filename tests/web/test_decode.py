@@ -11,6 +11,7 @@ import numpy as np
 
 from cags_common.coding.packing import decode_ids, encode_ids, gunzip_bounded, gzip_bytes, squeeze, unsqueeze
 from cags_common.errors import DecodeError
+from cags_common.tiles.svq import CodebookSet
 from support.mutation import mutate
 from support.node import run_tests
 from vectors.motion import make as motion_vectors
@@ -21,6 +22,8 @@ DAMAGED = 400
 
 def test_tiles_and_updates_of_the_recorded_bundle_at_every_recorded_level(tmp_path: Path) -> None:
     bundle = json.loads((VECTORS / "bundle" / "v7.json").read_text())
+    base = CodebookSet.from_bytes(base64.b64decode(bundle["codebooks"])).base.to_bytes()
+    bundle["base_codebooks"] = _text(base)
     run_tests("decode", tmp_path, bundle=bundle, chunks=_chunks(), bytes=_bytes())
 
 

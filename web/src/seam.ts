@@ -257,7 +257,7 @@ export interface Status {
  * what the source has told the server. `arrived`: tiles, or parts of messages, have come; told until a play has been asked for, while it is held. */
 export type SourceEvent =
   | { readonly type: "info"; readonly info: SceneInfo }
-  | { readonly type: "arrived"; readonly atUs: number }
+  | { readonly type: "arrived"; readonly atUs: number; readonly equipped: boolean }
   | { readonly type: "whole"; readonly frame: number; readonly mark: number }
   | { readonly type: "reference"; readonly reference: Reference }
   | { readonly type: "mark"; readonly mark: number }

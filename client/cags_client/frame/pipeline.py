@@ -22,7 +22,7 @@ from cags_client.settings import ClientSettings, LiveSettings
 from cags_client.stats import Stopwatch
 from cags_client.store.references import Received, References
 from cags_common import raster
-from cags_common.bundle.codecs import tile_codec
+from cags_common.bundle.codecs import SvqTileCodec, tile_codec
 from cags_common.bundle.manifest import Manifest
 from cags_common.coding.packing import decode_ids
 from cags_common.correction import Correction, FramePictures
@@ -78,9 +78,22 @@ class ClientPipeline:
 
     # -------------------------------------------------------------------------------------------------------- decoding
 
+    def on_base_codebooks(self, data: bytes) -> None:
+        """Receive what of the codebooks the lowest levels need. Raises :class:`DecodeError`."""
+        if self._opener.codec is None:
+            self._opener.codec = tile_codec(self.info, data)
+
     def on_codebooks(self, data: bytes) -> None:
         """Receive the codebooks that tiles need for decoding. Raises :class:`DecodeError`."""
-        self._opener.codec = tile_codec(self.info, data)
+        if isinstance(self._opener.codec, SvqTileCodec):
+            self._opener.codec.extend(data)
+        else:
+            self._opener.codec = tile_codec(self.info, data)
+
+    @property
+    def opens_tiles(self) -> bool:
+        """Whether enough of the codebooks has come."""
+        return self._opener.codec is not None
 
     def on_tiles(self, tiles: Sequence[tuple[TileLayers, memoryview]]) -> list[DecodeError]:
         """Decode layers of tiles and return the errors of skipped ones. Held levels stay."""

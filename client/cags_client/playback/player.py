@@ -38,7 +38,7 @@ from cags_common.errors import BundleError, CagsError, DecodeError, NetworkError
 from cags_common.geometry import DEFAULT_NEAR, Pose
 from cags_protocol import events as ev
 from cags_protocol.sessions.base import SessionTimers
-from cags_protocol.sessions.blobs import CODEBOOKS_BLOB, WEIGHTS_BLOB
+from cags_protocol.sessions.blobs import BASE_CODEBOOKS_BLOB, CODEBOOKS_BLOB, WEIGHTS_BLOB
 from cags_protocol.sessions.client import ClientSession, ClientSessionSettings
 from cags_protocol.timeline import Timeline
 from cags_protocol.wire.inventory import pack_inventory, unpack_inventory
@@ -116,9 +116,9 @@ class Player:
         self.stats.last_byte_us = now_us
         self._session.receive(data, now_us=now_us)
         if self._session.partial_bytes:
-            self._startup.came(now_us)
+            self._startup.came(now_us, equipped=self._codebooks is not None)
         self._pump(now_us)
-        if self._codebooks is None and self.backed_up:
+        if self.backed_up and not (self.pipeline and self.pipeline.opens_tiles):
             self._fail(NetworkError("the server sends tiles without the codebooks that they need"))
 
     @property
@@ -211,7 +211,7 @@ class Player:
         """Work to do now, or None. At most one Decode and one Present are outstanding."""
         if self.finished or self.pipeline is None:
             return None
-        if batch := self._decode_queue.take(tiles=self._codebooks is not None):
+        if batch := self._decode_queue.take(tiles=self.pipeline.opens_tiles):
             return Decode(batch, self.pipeline)
         if self._preview_due and not self._presenting and self.stats.started_us is None:
             return self._present_first(now_us)
@@ -266,13 +266,9 @@ class Player:
                 self._on_welcome(welcome, now_us)
             case ev.BlobReceived(name, data):
                 self.stats.bytes_other += len(data)
-                if name == CODEBOOKS_BLOB:
-                    self._on_codebooks(data, now_us)
-                elif name == WEIGHTS_BLOB:
-                    self._weights = data
-                    self._take_weights()
+                self._on_blob(name, data, now_us)
             case ev.TileReceived(_, payload):
-                self._startup.came(now_us)
+                self._startup.came(now_us, equipped=self._codebooks is not None)
                 self.stats.bytes_tiles += len(payload)
                 self._take(event)
             case ev.ReferenceReceived(_, payload):
@@ -350,16 +346,31 @@ class Player:
         if self._said_view != self.settings.intrinsics and self._reconnect.possible:  # while this was on its way
             self._rejoin(now_us)
 
-    def _on_codebooks(self, data: bytes, now_us: int) -> None:
+    def _on_blob(self, name: str, data: bytes, now_us: int) -> None:
+        if name == CODEBOOKS_BLOB:
+            self._on_codebooks(data)
+            self._startup.came(now_us)
+        elif name == BASE_CODEBOOKS_BLOB and self.pipeline is not None:
+            self._try(self.pipeline.on_base_codebooks, data)
+            self._startup.came(now_us, equipped=self._codebooks is not None)
+        elif name == WEIGHTS_BLOB:
+            self._weights = data
+            self._take_weights()
+
+    def _on_codebooks(self, data: bytes) -> None:
         if self._codebooks is not None and data != self._codebooks:
             self._fail(NetworkError("the server streams another encoding of the scene now; start the client again"))
         first, self._codebooks = self._codebooks is None, data
         if first and self.pipeline is not None:
-            try:
-                self.pipeline.on_codebooks(data)
-            except CagsError as error:
-                self._fail(error)
+            self._try(self.pipeline.on_codebooks, data)
             self._take_weights()
+
+    def _try(self, take: Callable[[bytes], None], data: bytes) -> None:
+        """Take what nothing can be shown without."""
+        try:
+            take(data)
+        except CagsError as error:
+            self._fail(error)
 
     def _hello(self, frame: int, pose: Pose) -> Hello:
         """Start a session with the inventory, once there is a decoder for it."""

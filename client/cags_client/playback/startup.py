@@ -22,14 +22,19 @@ class Startup:
         self._most_us = most_us
         self._newest_us = self._drawn_us = now_us
         self._whole_us: int | None = None
+        self._equipped_us, self._equipped = now_us, True
         self.greeting = 0
         """References that had come when the hold began: drawn for a client with few splats or none, they would spoil
         what was refined since. They are forgotten when the clip plays.
         """
 
-    def came(self, now_us: int) -> None:
-        """A tile has arrived, or a part of a message."""
-        self._newest_us = now_us
+    def came(self, now_us: int, *, equipped: bool = True) -> None:
+        """A tile has arrived, or a part of a message; ``equipped``: after the codebooks of all levels. Before, nothing
+        can be refined, and the hold does not end.
+        """
+        if equipped and not self._equipped:
+            self._equipped_us = now_us
+        self._newest_us, self._equipped = now_us, equipped
 
     def whole(self, now_us: int) -> bool:
         """A frame is complete. Returns whether it is the first one, whose hold begins now."""
@@ -40,10 +45,11 @@ class Startup:
 
     @property
     def ends_us(self) -> int | None:
-        """When the hold ends if nothing more arrives; None before the first frame is complete."""
-        if self._whole_us is None:
+        """When the hold ends if nothing more arrives; None before the first frame is complete and can be refined."""
+        if self._whole_us is None or not self._equipped:
             return None
-        return min(self._whole_us + self._most_us, max(self._newest_us + QUIET_US, self._whole_us))
+        begun_us = max(self._whole_us, self._equipped_us)
+        return min(begun_us + self._most_us, max(self._newest_us + QUIET_US, self._whole_us))
 
     def preview(self, now_us: int) -> bool:
         """Whether to redraw the held frame now that more of it has arrived."""

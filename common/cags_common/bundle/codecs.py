@@ -24,7 +24,7 @@ from cags_common.registry import Registry
 from cags_common.splats import Ids, Splats
 from cags_common.tiles.dequantise import Dequantiser
 from cags_common.tiles.kinds import TileKind
-from cags_common.tiles.lod import check_order
+from cags_common.tiles.lod import check_order, depths_at
 from cags_common.tiles.payloads import decode_base, decode_base_ids
 from cags_common.tiles.state import TileState
 from cags_common.tiles.svq import CodebookSet
@@ -244,10 +244,27 @@ class SvqTileCodec:
     """Draco base layers and enhancement layers of Scalable Vector Quantisation."""
 
     def __init__(self, manifest: Manifest, codebooks: bytes | memoryview) -> None:
+        """``codebooks`` of base layers alone may be given, and the others by :meth:`extend`, before levels are."""
         self._books, self._order = CodebookSet.from_bytes(codebooks), manifest.lod_order
-        check_order(self._order, {book.attribute: book.enhancement_layers for book in self._books})
+        self._check(self._books, begun=True)
         self._dequantiser = Dequantiser(self._books)
         self._steps = _step_tables(manifest, self._books)
+
+    def base_codebooks(self) -> bytes:
+        """Serialised codebooks of base layers alone."""
+        return self._books.base.to_bytes()
+
+    def extend(self, codebooks: bytes | memoryview) -> None:
+        """Go on with all layers: tiles that are open take levels from now on. Raises :class:`DecodeError`."""
+        books = CodebookSet.from_bytes(codebooks)
+        self._check(books, begun=False)
+        self._dequantiser.extend(books)
+
+    def _check(self, books: CodebookSet, *, begun: bool) -> None:
+        layers = {book.attribute: book.enhancement_layers for book in books}
+        if begun and not any(layers.values()):
+            layers |= depths_at([item for item in self._order if item.attribute in layers], len(self._order))
+        check_order(self._order, layers)
 
     def open_tile(self, payload: bytes | memoryview, anchors: Anchors | None = None) -> AnyTile:
         """Decode LoD 0; its first byte tells the kinds apart."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import TracebackType
 
-from cags_common.bundle.codecs import AnyTile, MotionTile, anchors_of, tile_codec
+from cags_common.bundle.codecs import AnyTile, MotionTile, SvqTileCodec, anchors_of, tile_codec
 from cags_common.bundle.index import FrameEntry, TileEntry, decode_source_index, decode_tile_index
 from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, FileEntry, Manifest
 from cags_common.bundle.quality import MAX_QUALITY_BYTES, QUALITY_NAME, LodQuality
@@ -107,6 +107,11 @@ class BundleReader:
     def codebooks(self) -> bytes:
         """Serialised codebooks, for :func:`~cags_common.bundle.codecs.tile_codec`."""
         return self._codebooks
+
+    def base_codebooks(self) -> bytes | None:
+        """What of them tiles' lowest levels need, in the same form; None of codecs that have no such part."""
+        codec = self.codec
+        return codec.base_codebooks() if isinstance(codec, SvqTileCodec) else None
 
     def quality(self) -> LodQuality | None:
         """What the encoder measured of the LoDs, None where it measured nothing. Raises :class:`BundleError`."""

@@ -58,6 +58,12 @@ class Dequantiser:
         wanted = native_available() if native is None else native
         self._native = _NativeTables(books) if wanted and _one_form_each(books) else None
 
+    def extend(self, books: CodebookSet) -> None:
+        """Go on with the layers of ``books``. Raises :class:`DecodeError` if those are not of the same."""
+        self.books.extend(books)
+        if self._native is not None:
+            self._native = _NativeTables(self.books)  # whoever uses the last ones has codes of base layers alone
+
     def __call__(
         self, means: F32, before: U32 | None, fresh: Sequence[FreshLayers], into: Splats | None = None
     ) -> tuple[Splats, U32]:
@@ -67,10 +73,11 @@ class Dequantiser:
         coding order. The splats are written to the arrays of ``into`` [n] where it is given. Raises
         :class:`DecodeError` for layers of a wrong length and for an ``into`` of another SH degree.
         """
-        if self._native is None or len(means) == 0:
+        native = self._native
+        if native is None or len(means) == 0:
             splats, codes = self._reference(means, before, fresh)
             return splats.written_to(into), codes
-        return self._native(means, before, fresh, into)
+        return native(means, before, fresh, into)
 
     def _reference(self, means: F32, before: U32 | None, fresh: Sequence[FreshLayers]) -> tuple[Splats, U32]:
         n = len(means)

@@ -40,7 +40,7 @@ class TileState:
         """Units of the splats' motion; None in bundles without any."""
         self.base = base
         self._dequantise, self._order = dequantiser, tuple(lod_order)
-        self._books = dequantiser.books
+        self._books = dequantiser.books  # which may get further layers
         self._codes: U32 | None = None
         self._fresh: dict[str, list[PackedCodes]] = {name: [layer] for name, layer in base.layers.items()}
         self._positions = _Positions(base.grid.layers)
@@ -86,7 +86,7 @@ class TileState:
             return self._positions.add(item.layer, payload, len(self))
         if item.layer <= self._depth[item.attribute]:
             return False
-        bits = self._books[item.attribute].layer_bits[item.layer]
+        bits = self._books[item.attribute].bits_of(item.layer)
         self._waiting[item.attribute, item.layer] = decode_layer(payload, len(self), bits)
         return self._absorb(item.attribute)
 

@@ -86,6 +86,20 @@ class Codebook:
         """Bits of a code that holds the first ``layers`` layers."""
         return sum(self.layer_bits[:layers])
 
+    def bits_of(self, layer: int) -> int:
+        """Bits that ``layer`` (0 = base) adds to a code. Raises :class:`DecodeError` for one that has not come."""
+        if layer >= len(self.layer_bits):
+            raise DecodeError(f"layer {layer} of {self.attribute!r} came before its codebook, which ends at that")
+        return self.layer_bits[layer]
+
+    def begins(self, other: Codebook) -> bool:
+        """Whether codes of this book mean the same by ``other``, which may go on."""
+        if self.attribute != other.attribute or len(self.layer_bits) > len(other.layer_bits):
+            return False
+        short = other.truncated(len(self.layer_bits))
+        same = self.layer_bits == short.layer_bits and self.first_stage == short.first_stage
+        return same and all(map(np.array_equal, self.tables, short.tables))
+
     def truncated(self, layers: int) -> Codebook:
         """The codebook for codes that end after their first ``layers`` layers (1 = base only)."""
         bits, tables = self.layer_bits[:layers], self.tables[:layers]
@@ -115,7 +129,9 @@ class Codebook:
 
 
 class CodebookSet:
-    """The codebooks of a bundle by attribute, in coding order."""
+    """The codebooks of a bundle by attribute, in coding order. It may begin with base layers, and get the others when
+    they come.
+    """
 
     def __init__(self, books: dict[str, Codebook]) -> None:
         self._books = {name: books[name] for name in ATTRIBUTE_DIMS if name in books}
@@ -136,6 +152,17 @@ class CodebookSet:
     def attributes(self) -> tuple[str, ...]:
         """Names of the attributes, in coding order."""
         return tuple(self._books)
+
+    @property
+    def base(self) -> CodebookSet:
+        """Of base layers alone."""
+        return CodebookSet({book.attribute: book.truncated(1) for book in self})
+
+    def extend(self, other: CodebookSet) -> None:
+        """Go on with the layers of ``other``. Raises :class:`DecodeError` if it is not of the same books."""
+        if self.attributes != other.attributes or not all(map(Codebook.begins, self, other)):
+            raise DecodeError("codebooks: do not go on with those that came before")
+        self._books = other._books
 
     def to_bytes(self) -> bytes:
         """Serialise; equal codebooks give equal bytes."""

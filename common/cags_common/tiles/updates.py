@@ -136,7 +136,7 @@ class UpdateState:
         count = self._changes(item.attribute)
         if not count or item.layer < self._depth[item.attribute]:
             return False
-        bits = self._books[item.attribute].layer_bits[item.layer]
+        bits = self._books[item.attribute].bits_of(item.layer)
         self._waiting[item.attribute, item.layer] = decode_layer(payload, count, bits)
         return self._absorb(item.attribute)
 

@@ -9,8 +9,10 @@ from cags_protocol.delivery.assembly import Partial
 from cags_protocol.wire import limits
 from cags_protocol.wire.messages import Blob
 
-CODEBOOKS_BLOB, WEIGHTS_BLOB = "codebooks", "weights"
-"""Names of the blobs that a server sends: ``codebooks.bin`` of the bundle, and the weights of a restorer."""
+CODEBOOKS_BLOB, BASE_CODEBOOKS_BLOB, WEIGHTS_BLOB = "codebooks", "base-codebooks", "weights"
+"""Names of the blobs that a server sends: ``codebooks.bin`` of the bundle; before it what of that base layers need, for
+a first picture; and the weights of a restorer.
+"""
 
 MAX_BLOBS_AT_ONCE = 8
 """Blobs that a client keeps half received."""

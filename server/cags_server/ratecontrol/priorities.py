@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 BLOB_PRIORITY = 0
-"""Decoders' tables: nothing can be shown without them."""
+"""Decoders' tables without which nothing can be shown."""
 
 BASE_PRIORITY, URGENT_PRIORITY, ENHANCEMENT_PRIORITY, HIDDEN_PRIORITY = 1, 2, 3, 4
-"""Base layers and ends of frames, detail that is due, other detail, what is out of view."""
+"""Base layers, ends of frames, tables that detail needs; detail that is due, other detail, what is out of view."""
 
 WEIGHTS_PRIORITY = ENHANCEMENT_PRIORITY
 """A restorer's weights: playing goes on without them, so that base layers go first."""

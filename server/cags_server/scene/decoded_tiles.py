@@ -37,7 +37,7 @@ U = TypeVar("U")
 DECODED_BYTES = 256_000_000
 """Bound on the decoded tiles that are kept, where the settings say nothing else."""
 
-DECODER_SPLAT_BYTES = 64
+DECODER_SPLAT_BYTES = 80
 """What a decoder of looks or updates keeps a splat besides its values: codes, positions, what is yet to be merged."""
 
 Value: TypeAlias = LooksValue | UpdateValues | Chunk

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from cags_common.geometry import Camera
 from cags_protocol import events as ev
-from cags_protocol.sessions.blobs import CODEBOOKS_BLOB, WEIGHTS_BLOB, blob_chunks
+from cags_protocol.sessions.blobs import BASE_CODEBOOKS_BLOB, CODEBOOKS_BLOB, WEIGHTS_BLOB, blob_chunks
 from cags_protocol.wire.messages import FrameEnd, TileLayers
 from cags_server.ratecontrol.priorities import BASE_PRIORITY, BLOB_PRIORITY, WEIGHTS_PRIORITY
 from cags_server.scene.library import SceneLibrary
@@ -59,12 +59,16 @@ class Startup:
         self._first_frame: FirstFrame | None = None
 
     def messages(self, frame: int, camera: Camera, now_us: int) -> list[ev.Outgoing]:
-        """Codebooks, then the base layers of ``frame``, those in view of ``camera`` first; the weights come last."""
+        """Codebooks of base layers, and the base layers of ``frame`` in view of ``camera``; then whole codebooks, which
+        no base layer waits for, the other base layers, and the weights.
+        """
         tiles = self._tiles.beginning(frame, camera)
         first = [each.message for each in tiles if each.priority == BASE_PRIORITY]
         in_view = [(message.frame, message.tile) for message in first if isinstance(message, TileLayers)]
         self._first_frame = FirstFrame(frame, in_view, now_us)
-        return [*self._codebooks(), *tiles, *self._weights()]
+        tables, more = self._codebooks()
+        shown = sum(each.priority == BASE_PRIORITY for each in tiles)
+        return [*tables, *tiles[:shown], *more, *tiles[shown:], *self._weights()]
 
     def settled(self, message: TileLayers) -> None:
         """Layers were delivered, or will never be."""
@@ -80,16 +84,23 @@ class Startup:
         ends = self._first_frame.end(now_us) if self._first_frame else []
         return [ev.Outgoing(end, self._library.removed_payload(end.frame), BLOB_PRIORITY) for end in ends]
 
-    def _codebooks(self) -> list[ev.Outgoing]:
-        """None for a client that resumes: it could not hold a tile without them."""
+    def _codebooks(self) -> tuple[list[ev.Outgoing], list[ev.Outgoing]]:
+        """What goes before all tiles, and what goes before levels above the lowest. Nothing for a client that resumes:
+        it could not hold a tile without them.
+        """
         if self.resumed:
-            return []
-        chunks = blob_chunks(CODEBOOKS_BLOB, self._library.reader.codebooks())
-        return [ev.Outgoing(blob, chunk, BLOB_PRIORITY) for blob, chunk in chunks]
+            return [], []
+        base, whole = self._library.reader.base_codebooks(), self._library.reader.codebooks()
+        if base is None:
+            return _blob(CODEBOOKS_BLOB, whole, BLOB_PRIORITY), []
+        return _blob(BASE_CODEBOOKS_BLOB, base, BLOB_PRIORITY), _blob(CODEBOOKS_BLOB, whole, BASE_PRIORITY)
 
     def _weights(self) -> list[ev.Outgoing]:
         """For a client that resumes, too: nothing says whether they had come."""
         if self._library.weights is None:
             return []
-        chunks = blob_chunks(WEIGHTS_BLOB, self._library.weights)
-        return [ev.Outgoing(blob, chunk, WEIGHTS_PRIORITY) for blob, chunk in chunks]
+        return _blob(WEIGHTS_BLOB, self._library.weights, WEIGHTS_PRIORITY)
+
+
+def _blob(name: str, data: bytes, priority: int) -> list[ev.Outgoing]:
+    return [ev.Outgoing(blob, chunk, priority) for blob, chunk in blob_chunks(name, data)]

@@ -38,6 +38,23 @@ export class Codebook {
     return this.layerBits.length - 1;
   }
 
+  /** Bits that `layer` (0 = base) adds to a code. Raises {@link DecodeError} for one that is not there (yet). */
+  bitsOf(layer: number): number {
+    const bits = this.layerBits[layer];
+    if (bits === undefined) {
+      throw new DecodeError(`layer ${layer} of '${this.attribute}' came before its codebook, which ends at that`);
+    }
+    return bits;
+  }
+
+  /** Whether codes of this book mean the same by `other`, which may go on. */
+  begins(other: Codebook): boolean {
+    const { layerBits, tables } = this;
+    const same = (a: ArrayLike<number>, b: ArrayLike<number> | undefined): boolean =>
+      a.length === b?.length && Array.prototype.every.call(a, (value: number, i: number) => value === b[i]);
+    return layerBits.every((bits, i) => bits === other.layerBits[i]) && tables.every((table, i) => same(table, other.tables[i]));
+  }
+
   /** Bits of a code that holds the first `layers` layers. */
   codeBits(layers: number): number {
     return this.layerBits.slice(0, layers).reduce((a, b) => a + b, 0);

@@ -1,7 +1,7 @@
 /** Opens the tiles of one bundle: payloads to decoders, as `cags_common.bundle.codecs.SvqTileCodec`. */
 import { BundleError, DecodeError } from "../bytes/errors.ts";
 import { MOTION_VERSION, MotionTile } from "../motion/chunk.ts";
-import { readCodebooks } from "./codebooks.ts";
+import { type Codebook, readCodebooks } from "./codebooks.ts";
 import { Dequantiser } from "./dequantise.ts";
 import type { Draco } from "./draco.ts";
 import type { Kernels } from "./kernels.ts";
@@ -24,12 +24,20 @@ export class TileCodec {
   constructor(manifest: Manifest, codebooks: Uint8Array, kernels: Kernels, draco: Draco) {
     if (manifest.codec !== "svq") throw new BundleError(`codec '${manifest.codec}' is unknown; this viewer reads svq`);
     const books = readCodebooks(codebooks);
-    checkOrder(manifest.lodOrder, new Map([...books].map(([name, book]) => [name, book.enhancementLayers])));
+    checkOrder(manifest.lodOrder, layersOf(books, manifest.lodOrder));
     this.kernels = kernels;
     this.draco = draco;
     this.order = manifest.lodOrder;
     this.dequantiser = new Dequantiser(kernels, books);
     this.steps = stepTables(manifest, books.get("scale")!.layerBits[0]!);
+  }
+
+  /** Go on with all layers of codebooks that began with base layers: tiles that are open take levels from now on. Raises
+   * {@link DecodeError}. */
+  extend(codebooks: Uint8Array): void {
+    const books = readCodebooks(codebooks);
+    checkOrder(this.order, layersOf(books));
+    this.dequantiser.extend(books);
   }
 
   /** Decode LoD 0 of a tile of any kind; its first byte tells them apart. `looks` are those that a tile of motion moves.
@@ -50,6 +58,14 @@ export class TileCodec {
   dispose(): void {
     this.dequantiser.dispose();
   }
+}
+
+/** Enhancement layers by attribute; where there are none, those of the `order`: they are yet to come. */
+function layersOf(books: ReadonlyMap<string, Codebook>, order: readonly LodLayer[] = []): Map<string, number> {
+  const layers = new Map([...books].map(([name, book]) => [name, book.enhancementLayers]));
+  if ([...layers.values()].some((count) => count > 0)) return layers;
+  for (const { attribute, layer } of order) if (layers.has(attribute)) layers.set(attribute, layer);
+  return layers;
 }
 
 function checkOrder(order: readonly LodLayer[], layers: ReadonlyMap<string, number>): void {

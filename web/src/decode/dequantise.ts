@@ -22,22 +22,35 @@ export interface FreshLayers {
 
 /** Turns codes into splats by one set of codebooks. Raises {@link DecodeError} for a missing attribute. */
 export class Dequantiser {
-  readonly books: ReadonlyMap<string, Codebook>;
+  /** They may begin with base layers, and get the others when they come. */
+  readonly books: Map<string, Codebook>;
   readonly shDegree: number;
   private readonly kernels: Kernels;
-  private readonly list: readonly Codebook[];
   private readonly rodrigues: boolean;
   private readonly logits: boolean;
   private readonly tables = new Map<Float32Array, number>();
 
-  constructor(kernels: Kernels, books: ReadonlyMap<string, Codebook>) {
+  constructor(kernels: Kernels, books: Map<string, Codebook>) {
     checkForms(books);
     this.kernels = kernels;
     this.books = books;
-    this.list = [...books.values()];
     this.shDegree = SH_REST_ATTRIBUTES.filter((name) => books.has(name)).length;
     this.rodrigues = books.has("rotation");
     this.logits = books.has("alpha");
+  }
+
+  /** Go on with the layers of `books`. Raises {@link DecodeError} if those are not of the same. */
+  extend(books: ReadonlyMap<string, Codebook>): void {
+    const known = [...this.books];
+    const goesOn = ([name, book]: [string, Codebook]): boolean => books.has(name) && book.begins(books.get(name)!);
+    if (books.size !== known.length || !known.every(goesOn)) {
+      throw new DecodeError("codebooks: do not go on with those that came before");
+    }
+    for (const [name, book] of books) this.books.set(name, book);
+  }
+
+  private get list(): readonly Codebook[] {
+    return [...this.books.values()];
   }
 
   /** Free the tables. */

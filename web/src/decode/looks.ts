@@ -66,7 +66,7 @@ export class LooksTile {
     if (!item) throw new DecodeError(`tile: LoD ${lod} is outside 1 to ${this.order.length}`);
     if (item.attribute === POSITION) return this.positions.add(item.layer, payload, this.length);
     if (item.layer <= this.depth.get(item.attribute)!) return false;
-    const bits = this.dequantiser.books.get(item.attribute)!.layerBits[item.layer]!;
+    const bits = this.dequantiser.books.get(item.attribute)!.bitsOf(item.layer);
     this.waiting.set(`${item.attribute}/${item.layer}`, decodeLayer(payload, this.length, bits));
     return this.absorb(item.attribute);
   }

@@ -80,7 +80,7 @@ export class UpdateTile {
     if (!item) throw new DecodeError(`update: LoD ${lod} is outside 1 to ${this.order.length}`);
     const count = this.changes(item.attribute);
     if (!count || item.layer < this.depth.get(item.attribute)!) return false;
-    const bits = this.books.get(item.attribute)!.layerBits[item.layer]!;
+    const bits = this.books.get(item.attribute)!.bitsOf(item.layer);
     this.waiting.set(`${item.attribute}/${item.layer}`, decodeLayer(payload, count, bits));
     return this.absorb(item.attribute);
   }

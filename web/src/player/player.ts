@@ -283,7 +283,7 @@ export class Player {
         this.#events.info(event.info);
         break;
       case "arrived":
-        this.#startup.came(event.atUs);
+        this.#startup.came(event.atUs, event.equipped);
         this.#news = true;
         break;
       case "whole":

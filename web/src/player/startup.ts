@@ -16,6 +16,8 @@ export class Startup {
   #newestUs: number;
   #drawnUs: number;
   #wholeUs: number | undefined;
+  #equippedUs: number;
+  #equipped = true;
   /** Order of the newest reference that had come when the hold began: those up to it, drawn for a page with few splats or
    * none, would spoil what was refined since. They are forgotten when the clip plays. */
   greeting = 0;
@@ -23,12 +25,15 @@ export class Startup {
   /** `mostUs`: the longest hold. */
   constructor(mostUs: number, nowUs: number) {
     this.#mostUs = mostUs;
-    this.#newestUs = this.#drawnUs = nowUs;
+    this.#newestUs = this.#drawnUs = this.#equippedUs = nowUs;
   }
 
-  /** A tile has arrived, or a part of a message. */
-  came(nowUs: number): void {
+  /** A tile has arrived, or a part of a message; `equipped`: after the codebooks of all levels. Before, nothing can be
+   * refined, and the hold does not end. */
+  came(nowUs: number, equipped = true): void {
+    if (equipped && !this.#equipped) this.#equippedUs = nowUs;
     this.#newestUs = nowUs;
+    this.#equipped = equipped;
   }
 
   /** A frame is complete. Whether it is the first one, whose hold begins now. */
@@ -38,10 +43,11 @@ export class Startup {
     return true;
   }
 
-  /** When the hold ends if nothing more arrives; undefined before the first frame is complete. */
+  /** When the hold ends if nothing more arrives; undefined before the first frame is complete and can be refined. */
   get endsUs(): number | undefined {
-    if (this.#wholeUs === undefined) return undefined;
-    return Math.min(this.#wholeUs + this.#mostUs, Math.max(this.#newestUs + QUIET_US, this.#wholeUs));
+    if (this.#wholeUs === undefined || !this.#equipped) return undefined;
+    const begunUs = Math.max(this.#wholeUs, this.#equippedUs);
+    return Math.min(begunUs + this.#mostUs, Math.max(this.#newestUs + QUIET_US, this.#wholeUs));
   }
 
   /** Whether to redraw the held frame now that more of it has arrived. */

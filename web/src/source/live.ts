@@ -15,7 +15,7 @@ import { PROTOCOL_VERSION, SUBPROTOCOL } from "../wire/limits.ts";
 import type { Control, Hello, Refusal, Welcome } from "../wire/messages.ts";
 import { ClientSession, DEFAULTS, RESUMING, type SessionEvent } from "../wire/session.ts";
 import { Timeline } from "../wire/timeline.ts";
-import { CODEBOOKS_BLOB } from "../wire/assembly.ts";
+import { BASE_CODEBOOKS_BLOB, CODEBOOKS_BLOB } from "../wire/assembly.ts";
 import { DecodeQueue, type DataEvent, MAX_UNDECODED_BYTES } from "./decodeQueue.ts";
 import { Reconnect } from "./reconnect.ts";
 import { type Decoders, SceneStore, tooLarge } from "./scene.ts";
@@ -187,7 +187,7 @@ export class LiveSource implements SceneSource {
   /** With what is held, once there is a decoder for it. */
   private hello(frame: number): Hello {
     const { scene, welcome, options } = this;
-    const resumes = scene?.ready && welcome;
+    const resumes = scene && this.codebooks && welcome;
     return {
       type: "hello",
       version: PROTOCOL_VERSION,
@@ -288,7 +288,7 @@ export class LiveSource implements SceneSource {
   /** While the play is held, how long depends on what still arrives. */
   private tellArrived(atUs: number): void {
     const held = this.playState === undefined || this.playState.action === "pause";
-    if (this.tilesCame && held && !this.ended) this.listen({ type: "arrived", atUs });
+    if (this.tilesCame && held && !this.ended) this.listen({ type: "arrived", atUs, equipped: this.codebooks !== undefined });
     this.tilesCame = false;
   }
 
@@ -366,14 +366,18 @@ export class LiveSource implements SceneSource {
   }
 
   private onBlob(name: string, data: Uint8Array): void {
+    const { scene } = this;
     this.meter.bytesOther += data.length;
-    if (name !== CODEBOOKS_BLOB || !this.scene) return;
-    if (this.codebooks && !sameBytes(this.codebooks, data)) {
+    if ((name !== CODEBOOKS_BLOB && name !== BASE_CODEBOOKS_BLOB) || !scene) return;
+    const whole = name === CODEBOOKS_BLOB;
+    if (whole && this.codebooks && !sameBytes(this.codebooks, data)) {
       return this.fail("codebooks", "the server streams another encoding of the scene now; reload the page");
     }
-    this.codebooks = data;
+    if (whole) this.codebooks = data;
+    this.tilesCame = true;
     try {
-      this.scene.codebooks(data);
+      if (whole) scene.codebooks(data);
+      else scene.baseCodebooks(data);
     } catch (error) {
       if (!(error instanceof BundleError || error instanceof DecodeError)) throw error;
       this.fail("codebooks", error.message);

@@ -48,9 +48,19 @@ export class SceneStore {
     return this.opener.codec !== undefined;
   }
 
+  /** What of the codebooks the lowest levels need. Raises {@link DecodeError} or `BundleError`. */
+  baseCodebooks(data: Uint8Array): void {
+    this.opener.codec ??= this.codecOf(data);
+  }
+
   /** What tiles need to be decoded. Raises {@link DecodeError} or `BundleError`. */
   codebooks(data: Uint8Array): void {
-    this.opener.codec ??= new TileCodec(this.manifest, data, this.decoders.kernels, this.decoders.draco);
+    if (this.opener.codec) this.opener.codec.extend(data);
+    else this.opener.codec = this.codecOf(data);
+  }
+
+  private codecOf(codebooks: Uint8Array): TileCodec {
+    return new TileCodec(this.manifest, codebooks, this.decoders.kernels, this.decoders.draco);
   }
 
   /** Decode layers and dequantise what they touch; what is wrong with those that are left out. */

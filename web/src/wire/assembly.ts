@@ -130,6 +130,8 @@ export class Assembler {
 }
 
 export const CODEBOOKS_BLOB = "codebooks";
+/** What of them base layers need, for a first picture. */
+export const BASE_CODEBOOKS_BLOB = "base-codebooks";
 const MAX_BLOBS_AT_ONCE = 8;
 
 /** Collects chunks of blobs in any order; memory follows what was received, not what was promised. */

@@ -14,6 +14,7 @@ import { draco, fromBase64, kernels, vectors } from "./vectors.ts";
 interface Bundle {
   manifest: Record<string, unknown>;
   codebooks: string;
+  base_codebooks: string;
   tiles: { name: string; payloads: string[]; decoded: Record<string, string>[] }[];
   update: { payloads: string[]; values: Record<string, { ids: string; rows: string }>[] };
 }
@@ -21,7 +22,8 @@ interface Bundle {
 const wasm = await kernels();
 const bundle = vectors<Bundle>("bundle");
 const manifest = readManifest(new TextEncoder().encode(JSON.stringify(bundle.manifest)));
-const codec = new TileCodec(manifest, fromBase64(bundle.codebooks), wasm, await draco());
+const decoder = await draco();
+const codec = new TileCodec(manifest, fromBase64(bundle.codebooks), wasm, decoder);
 
 function text(array: Float32Array | Int32Array | Uint8Array): string {
   return Buffer.from(array.buffer, array.byteOffset, array.byteLength).toString("base64");
@@ -52,6 +54,21 @@ for (const { name, payloads, decoded } of bundle.tiles) {
     assert.deepEqual(splats(tile.reduced(1)), decoded[0]);
   });
 }
+
+test("codebooks may begin with base layers", () => {
+  const whole = fromBase64(bundle.codebooks);
+  const begun = new TileCodec(manifest, fromBase64(bundle.base_codebooks), wasm, decoder);
+  const { payloads, decoded } = bundle.tiles[0]!;
+  const [first, ...layers] = payloads.map(fromBase64);
+  const tile = begun.open(first!) as LooksTile;
+  assert.deepEqual(splats(tile), decoded[0]);
+  const at = manifest.lodOrder.findIndex((item) => item.attribute !== "position");
+  assert.throws(() => tile.addLayer(at + 1, layers[at]!), DecodeError);
+  begun.extend(whole);
+  layers.forEach((layer, i) => tile.addLayer(i + 1, layer));
+  assert.deepEqual(splats(tile), decoded[1]);
+  assert.throws(() => begun.extend(fromBase64(bundle.base_codebooks)), /LoD order has/);
+});
 
 test("an update has the recorded values", () => {
   const [first, ...layers] = bundle.update.payloads.map(fromBase64);

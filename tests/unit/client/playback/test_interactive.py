@@ -76,6 +76,7 @@ class FakePipeline:
         self.resets.append(frame)
 
     references_received = 0
+    opens_tiles = True
 
     def forget_references(self, until: int | None = None) -> None:
         self.jumps += 1

@@ -18,7 +18,7 @@ from cags_common.errors import DecodeError, NetworkError
 from cags_common.geometry import Pose
 from cags_protocol import ClientSession, ServerSession
 from cags_protocol import events as ev
-from cags_protocol.sessions.blobs import CODEBOOKS_BLOB, WEIGHTS_BLOB
+from cags_protocol.sessions.blobs import BASE_CODEBOOKS_BLOB, CODEBOOKS_BLOB, WEIGHTS_BLOB
 from cags_protocol.wire.encoding import encode
 from cags_protocol.wire.messages import (
     Blob,
@@ -31,9 +31,10 @@ from cags_protocol.wire.messages import (
     ReferenceFrame,
     Refusal,
     RefusalCode,
+    TileLayers,
     Welcome,
 )
-from support.small_store import books, manifest
+from support.small_store import base, books, manifest
 from support.wire_pair import tile
 
 
@@ -84,6 +85,28 @@ def first_frame_comes(client: Player, server: ServerSession, now_us: int) -> Non
     while isinstance(action := client.next_action(now_us), Decode):
         client.done(action, action.run(), now_us)
     client.handle_timer(now_us)
+
+
+def test_a_first_frame_is_shown_before_the_codebooks_of_all_levels_have_come() -> None:
+    client, server = player(), ServerSession(now_us=0)
+    sent(client, server, 0)
+    server.accept(Welcome("s", 30.0, 8, False, manifest().to_json()), now_us=0)
+    data = books().base.to_bytes()
+    server.queue(ev.Outgoing(Blob(BASE_CODEBOOKS_BLOB, 0, len(data)), data), now_us=0)
+    first = base([0, 1, 2], 0)
+    server.queue(ev.Outgoing(TileLayers(0, 0, 0, 1, (len(first),)), bytes(first)), now_us=0)
+    first_frame_comes(client, server, 300_000)
+    assert client._presenting, "a picture while more arrives"
+    assert client.stats.started_us is None and client.stats.decode_errors == 0, "but no play before it can be refined"
+    assert [(held.frame, held.tile, held.lods) for held in client.pipeline.held()] == [(0, 0, 1)]
+    assert not client._hello(0, Pose.identity()).resume, "a server would leave the codebooks out"
+    whole = books().to_bytes()
+    server.queue(ev.Outgoing(Blob(CODEBOOKS_BLOB, 0, len(whole)), whole), now_us=310_000)
+    for packet in server.data_to_send(310_000):
+        client.receive(packet, 310_000)
+    assert client._hello(0, Pose.identity()).resume == "s" and not client.finished
+    client.handle_timer(310_000)
+    assert client.stats.started_us is not None
 
 
 def test_parts_of_a_tile_that_a_slow_link_takes_long_for_keep_the_first_frame_on_hold() -> None:

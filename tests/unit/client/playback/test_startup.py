@@ -49,3 +49,15 @@ def test_what_is_held_is_drawn_now_and_then() -> None:
     startup = Startup(MOST_US, 0)
     drawn = [now_us for now_us in range(0, 500_000, 10_000) if startup.preview(now_us)]
     assert drawn == list(range(PREVIEW_EVERY_US, 500_000, PREVIEW_EVERY_US))
+
+
+def test_the_longest_hold_begins_once_anything_can_be_refined() -> None:
+    startup = Startup(MOST_US, 0)
+    startup.whole(100_000)
+    for now_us in range(100_000, 100_000 + 2 * MOST_US, 20_000):  # codebooks over a thin link
+        startup.came(now_us, equipped=False)
+        assert startup.ends_us is None
+    equipped_us = now_us
+    for now_us in range(equipped_us, equipped_us + 2 * MOST_US, 20_000):
+        startup.came(now_us)
+    assert startup.ends_us == equipped_us + MOST_US

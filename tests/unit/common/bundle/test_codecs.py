@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from cags_common.errors import BundleError, DecodeError
 from cags_common.motion.chunk import LEVELS, encode
 from cags_common.tiles.kinds import TileKind
 from cags_common.tiles.state import TileState
+from cags_common.tiles.svq import CodebookSet
 from cags_common.tiles.updates import UpdateState
 from support.anchors import scattered, together
 from support.small_motion import (
@@ -114,3 +116,47 @@ def test_every_tile_of_a_clip_is_read_on_its_own_looks(seed: int, tmp_path: Path
             if isinstance(state, MotionTile):
                 assert entry.looks == state.looks
     assert kinds == set(TileKind)
+
+
+def test_codebooks_may_begin_with_base_layers() -> None:
+    whole = SvqTileCodec(manifest(), books().to_bytes())
+    begun = SvqTileCodec(manifest(), whole.base_codebooks())
+    assert len(whole.base_codebooks()) < len(books().to_bytes())
+    payloads, changes = looks([0, 1, 4], 5.0).payloads, recoloured([0, 1], 6).payloads
+    tiles = [[codec.open_tile(of[0]) for of in (payloads, changes)] for codec in (whole, begun)]
+
+    def values(tile: object) -> list[np.ndarray]:
+        if isinstance(tile, UpdateState):
+            return [array for change in tile.values().values() for array in (change.ids, change.values)]
+        assert isinstance(tile, TileState)
+        return [array for _, array in tile.dequantise().arrays()]
+
+    def assert_same() -> None:
+        for mine, other in zip(*tiles, strict=True):
+            for a, b in zip(values(mine), values(other), strict=True):
+                np.testing.assert_array_equal(a, b)
+
+    assert_same()
+    for tile, of in zip(tiles[1], (payloads, changes), strict=True):
+        lod = next(lod for lod in range(1, len(of)) if of[lod])
+        with pytest.raises(DecodeError, match="came before its codebook"):
+            tile.add_layer(lod, of[lod])  # type: ignore[union-attr]
+    begun.extend(books().to_bytes())
+    for pair in tiles:
+        for tile, of in zip(pair, (payloads, changes), strict=True):
+            for lod in range(1, len(of)):
+                tile.add_layer(lod, of[lod])  # type: ignore[union-attr]
+    assert_same()
+    assert begun.base_codebooks() == whole.base_codebooks()
+    begun.extend(books().to_bytes())  # a second time changes nothing
+
+
+def test_codebooks_of_another_encoding_do_not_go_on() -> None:
+    begun = SvqTileCodec(manifest(), SvqTileCodec(manifest(), books().to_bytes()).base_codebooks())
+    table = books()["scale"].tables[0] + np.float32(1)
+    other = {book.attribute: book for book in books()}
+    other["scale"] = replace(books()["scale"], tables=(table, *books()["scale"].tables[1:]))
+    with pytest.raises(DecodeError, match="do not go on with those that came before"):
+        begun.extend(CodebookSet(other).to_bytes())
+    with pytest.raises(BundleError, match="LoD order has"):
+        begun.extend(begun.base_codebooks())

@@ -27,6 +27,20 @@ def test_the_opening_is_codebooks_then_base_layers_then_the_first_frames_end() -
     assert [e.frame for e in of(FrameEnd, opening)] == [0]
 
 
+def test_a_first_picture_does_not_wait_for_the_codebooks_of_all_levels(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FakeReader, "base_codebooks", lambda _: b"base")
+    away = hello(Pose.looking_at((0, 0, 0), (-3, 0, 3)))
+    opening = Streamer(library(), SETTINGS, away, link=MeasuredLink()).startup(0)
+    ranked = [each.message for each in sorted(opening, key=lambda each: each.priority)]  # in turn where alike
+    names = [message.name if isinstance(message, Blob) else type(message).__name__ for message in ranked]
+    assert names[0] == "base-codebooks" and names.count("codebooks") == 1
+    end, whole = names.index("FrameEnd"), names.index("codebooks")
+    assert set(names[1:end]) == {"TileLayers"}
+    assert end < whole < max(i for i, name in enumerate(names) if name == "TileLayers")
+    levels = [message.to_lod for message in ranked[:whole] if isinstance(message, TileLayers)]
+    assert set(levels) == {1}, "no level above the lowest goes before them"
+
+
 def test_what_is_out_of_view_comes_after_the_first_frames_end() -> None:
     scene = library()
     away = hello(Pose.looking_at((0, 0, 0), (-3, 0, 3)))
