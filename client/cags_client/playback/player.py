@@ -232,12 +232,13 @@ class Player:
         assert isinstance(result, DecodeResult)
         self._decode_queue.decoded()
         self.stats.decode_errors += len(result.errors)
-        first = self.stats.first_picture_us is None
-        self._preview_due |= result.references if first else self._startup.preview(now_us)
+        whole, first = result.whole >= self.settings.start_frame, self.stats.first_picture_us is None
+        waits = whole and self._codebooks is None  # for a while, before the play can begin
+        self._preview_due |= result.references or waits if first else self._startup.preview(now_us)
         self._session.report_evictions(result.dropped)
         if result.needs_idr:
             self._ask_idr(action.pipeline.last_reference_seq, now_us)
-        if result.whole >= self.settings.start_frame and self._startup.whole(now_us):
+        if whole and self._startup.whole(now_us):
             self._hold(now_us)
 
     # ---------------------------------------------------------------------------------------------------------- details

@@ -372,7 +372,7 @@ export class Player {
   /** A picture before the play: first of a reference or of the frame itself, then now and then of what more has come. */
   #preview(now: number): (() => Promise<void>) | null {
     this.#references.show(this.frame, this.info!.frames);
-    const there = this.#startup.endsUs !== undefined || this.#references.newest(REFERENCE_AGE);
+    const there = this.#startup.isWhole || this.#references.newest(REFERENCE_AGE);
     const due = this.shown ? this.#news && this.#startup.preview(now) : there;
     return due ? () => this.#present(this.frame, 0, false) : null;
   }

@@ -43,6 +43,11 @@ export class Startup {
     return true;
   }
 
+  /** Whether the first frame is complete. */
+  get isWhole(): boolean {
+    return this.#wholeUs !== undefined;
+  }
+
   /** When the hold ends if nothing more arrives; undefined before the first frame is complete and can be refined. */
   get endsUs(): number | undefined {
     if (this.#wholeUs === undefined || !this.#equipped) return undefined;
