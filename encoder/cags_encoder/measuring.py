@@ -302,6 +302,7 @@ class _Trial:
         self._codes = coded.codes
         self._tiles = [coded.take(slice(a, b)) for a, b in tile_ranges(len(splats), KEY_TILE_SPLATS)]
         self._looks = codec.decode(coded)
+        self._decoded: dict[int | None, F32] = {}
 
     @property
     def layers(self) -> dict[str, int]:
@@ -321,15 +322,18 @@ class _Trial:
             if self._views.worst_patch(rounded) <= allowed:
                 break
             self.codec = _with_positions(replace(self.codec, position_step=self.codec.position_step / 2))
+            self._decoded.clear()
 
     def _means(self, layers: int | None) -> F32:
         """Positions as decoded tile by tile with so many layers; None: with all."""
-        whole = self._decoded(None)
+        whole = self._at(None)
         exact = np.where(self._still[:, None], whole, self._views.splats.means)
-        return exact if layers is None else exact + (self._decoded(layers) - whole)
+        return exact if layers is None else exact + (self._at(layers) - whole)
 
-    def _decoded(self, layers: int | None) -> F32:
-        return np.concatenate([self.codec.means_at(tile, layers) for tile in self._tiles])
+    def _at(self, layers: int | None) -> F32:
+        if layers not in self._decoded:
+            self._decoded[layers] = np.concatenate([self.codec.means_at(tile, layers) for tile in self._tiles])
+        return self._decoded[layers]
 
     def look(self, depths: Mapping[str, int]) -> _Seen:
         """Compare with ``depths[attribute]`` enhancement layers."""

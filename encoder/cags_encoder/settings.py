@@ -29,7 +29,8 @@ class EncodeSettings:
     lod_order: str = setting(
         "measured",
         "order of the quality layers: measured (on renders of the first frame; needs the kernels), paper (scale, "
-        "rotation, SH, opacity), or a file of lines 'attribute layer'",
+        "rotation, SH, opacity; positions whole in the base), or a file of lines 'attribute layer'; 'position 1', "
+        "'position 2' and so on are the last bits of positions",
     )
     position_step: float | None = setting(
         None,

@@ -154,4 +154,5 @@ def median_ms(work: Callable[[], object], repeats: int) -> float:
 
 
 def _manifest(codec: SvqCodec) -> Manifest:
-    return Manifest("", 30.0, 1, (0,), (0,), 0, ((0, 0, 0), (0, 0, 0)), codec.lod_order, ())
+    degree = codec.quantiser.books.sh_degree
+    return Manifest("", 30.0, 1, (0,), (0,), degree, ((0, 0, 0), (0, 0, 0)), codec.lod_order, ())

@@ -79,7 +79,7 @@ class ClientPipeline:
     # -------------------------------------------------------------------------------------------------------- decoding
 
     def on_base_codebooks(self, data: bytes) -> None:
-        """Receive what of the codebooks the lowest levels need. Raises :class:`DecodeError`."""
+        """Receive the part of the codebooks that tiles need at LoD 0. Raises :class:`DecodeError`."""
         if self._opener.codec is None:
             self._opener.codec = tile_codec(self.info, data)
 

@@ -116,7 +116,7 @@ class Player:
         self.stats.last_byte_us = now_us
         self._session.receive(data, now_us=now_us)
         if self._session.partial_bytes:
-            self._startup.came(now_us, equipped=self._codebooks is not None)
+            self._came(now_us)
         self._pump(now_us)
         if self.backed_up and not (self.pipeline and self.pipeline.opens_tiles):
             self._fail(NetworkError("the server sends tiles without the codebooks that they need"))
@@ -269,7 +269,7 @@ class Player:
                 self.stats.bytes_other += len(data)
                 self._on_blob(name, data, now_us)
             case ev.TileReceived(_, payload):
-                self._startup.came(now_us, equipped=self._codebooks is not None)
+                self._came(now_us)
                 self.stats.bytes_tiles += len(payload)
                 self._take(event)
             case ev.ReferenceReceived(_, payload):
@@ -347,13 +347,17 @@ class Player:
         if self._said_view != self.settings.intrinsics and self._reconnect.possible:  # while this was on its way
             self._rejoin(now_us)
 
+    def _came(self, now_us: int) -> None:
+        """Something for the first frame has arrived."""
+        self._startup.came(now_us, equipped=self._codebooks is not None)
+
     def _on_blob(self, name: str, data: bytes, now_us: int) -> None:
         if name == CODEBOOKS_BLOB:
             self._on_codebooks(data)
-            self._startup.came(now_us)
+            self._came(now_us)
         elif name == BASE_CODEBOOKS_BLOB and self.pipeline is not None:
             self._try(self.pipeline.on_base_codebooks, data)
-            self._startup.came(now_us, equipped=self._codebooks is not None)
+            self._came(now_us)
         elif name == WEIGHTS_BLOB:
             self._weights = data
             self._take_weights()
@@ -367,7 +371,7 @@ class Player:
             self._take_weights()
 
     def _try(self, take: Callable[[bytes], None], data: bytes) -> None:
-        """Take what nothing can be shown without."""
+        """Pass on data without which nothing can be shown."""
         try:
             take(data)
         except CagsError as error:

@@ -244,8 +244,16 @@ class SvqTileCodec:
     """Draco base layers and enhancement layers of Scalable Vector Quantisation."""
 
     def __init__(self, manifest: Manifest, codebooks: bytes | memoryview) -> None:
-        """``codebooks`` of base layers alone may be given, and the others by :meth:`extend`, before levels are."""
+        """``codebooks`` may hold base layers only; :meth:`extend` adds the others, before any level above 0 is added.
+
+        Raises :class:`BundleError` for a manifest that does not fit them, :class:`DecodeError` where they cannot be
+        read.
+        """
         self._books, self._order = CodebookSet.from_bytes(codebooks), manifest.lod_order
+        if self._books.sh_degree != manifest.sh_degree:
+            raise BundleError(
+                f"manifest: sh_degree is {manifest.sh_degree}, but the codebooks are of degree {self._books.sh_degree}"
+            )
         self._check(self._books, begun=True)
         self._dequantiser = Dequantiser(self._books)
         self._steps = _step_tables(manifest, self._books)
@@ -255,7 +263,7 @@ class SvqTileCodec:
         return self._books.base.to_bytes()
 
     def extend(self, codebooks: bytes | memoryview) -> None:
-        """Go on with all layers: tiles that are open take levels from now on. Raises :class:`DecodeError`."""
+        """Add the layers above the base; open tiles take further levels from now on. Raises :class:`DecodeError`."""
         books = CodebookSet.from_bytes(codebooks)
         self._check(books, begun=False)
         self._dequantiser.extend(books)

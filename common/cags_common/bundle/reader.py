@@ -109,7 +109,7 @@ class BundleReader:
         return self._codebooks
 
     def base_codebooks(self) -> bytes | None:
-        """What of them tiles' lowest levels need, in the same form; None of codecs that have no such part."""
+        """The part of the codebooks that tiles need at LoD 0, in the same form; None for codecs without such a part."""
         codec = self.codec
         return codec.base_codebooks() if isinstance(codec, SvqTileCodec) else None
 

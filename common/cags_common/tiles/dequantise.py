@@ -59,7 +59,7 @@ class Dequantiser:
         self._native = _NativeTables(books) if wanted and _one_form_each(books) else None
 
     def extend(self, books: CodebookSet) -> None:
-        """Go on with the layers of ``books``. Raises :class:`DecodeError` if those are not of the same."""
+        """Add the further layers of ``books``. Raises :class:`DecodeError` if its first layers are others."""
         self.books.extend(books)
         if self._native is not None:
             self._native = _NativeTables(self.books)  # whoever uses the last ones has codes of base layers alone
@@ -96,7 +96,7 @@ class _NativeTables:
     def __init__(self, books: CodebookSet) -> None:
         self._books = tuple(books)
         self._rodrigues = "rotation" in books.attributes
-        self._degree = sum(name in books.attributes for name in SH_REST_ATTRIBUTES)
+        self._degree = books.sh_degree
         self._alpha_to_logit = any(book.attribute == "alpha" and book.spreads is not None for book in self._books)
         self._kept: dict[tuple[int, int, int], tuple[Any, Any]] = {}
 

@@ -102,7 +102,7 @@ class PositionGrid:
         return np.clip(cells, 0, 2**self.bits - 1).astype(np.uint32)
 
     def dequantise(self, cells: Any, layers: int | None = None) -> F32:
-        """Means [n, 3] of integer coordinates without the bits of all but the first ``layers``; None: of whole ones."""
+        """Means [n, 3] of integer coordinates that have the bits of the first ``layers`` only; None: of all."""
         lacking = 0 if layers is None else self.layers - layers
         middle = 0.5 * (2**lacking - 1)
         # Whole and half numbers below 2**23: exact in single precision, too.

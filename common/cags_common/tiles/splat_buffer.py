@@ -25,7 +25,6 @@ import numpy as np
 import numpy.ma
 from numpy.typing import NDArray
 
-from cags_common.errors import DecodeError
 from cags_common.geometry import F32
 from cags_common.motion.apply import ABSENT_LOGIT, Looks, MovingTile, Steps, move_rows
 from cags_common.motion.chunk import Chunk
@@ -200,12 +199,7 @@ class SplatBuffer:
         return gone
 
     def write(self, slot: Slot, lod: int, ids: Ids, splats: Splats) -> Ids:
-        """Show a tile of looks at ``lod``: ``splats`` [n] by ``ids`` [n]. Returns the ids that the tile owns.
-
-        Raises :class:`DecodeError` for splats of another SH degree, as damaged manifests lead to.
-        """
-        if splats.sh_degree != self._sh_degree:
-            raise DecodeError(f"a tile has splats of SH degree {splats.sh_degree}, the manifest says {self._sh_degree}")
+        """Show a tile of looks at ``lod``: ``splats`` [n] by ``ids`` [n]. Returns the ids that the tile owns."""
         slot.ids, slot.rows = ids, None
         mine = self.owner[ids] == slot.index
         newer = (self._source[ids] < slot.frame) & (self._removed_at[ids] <= slot.frame)

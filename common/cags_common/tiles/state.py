@@ -175,7 +175,7 @@ class _Positions:
         self._bits = {layer: bits for layer, bits in self._bits.items() if layer <= layers}
 
     def fork(self) -> _Positions:
-        """The same, apart."""
+        """An independent copy."""
         other = copy(self)
         other._bits = dict(self._bits)
         return other

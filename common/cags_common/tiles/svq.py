@@ -20,7 +20,7 @@ import numpy as np
 from cags_common.coding.packing import U32, gunzip_bounded, gzip_bytes
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32
-from cags_common.tiles.attributes import ATTRIBUTE_DIMS
+from cags_common.tiles.attributes import ATTRIBUTE_DIMS, SH_REST_ATTRIBUTES
 
 MAX_BASE_BITS = 8
 """Base codes travel as single bytes."""
@@ -93,7 +93,7 @@ class Codebook:
         return self.layer_bits[layer]
 
     def begins(self, other: Codebook) -> bool:
-        """Whether codes of this book mean the same by ``other``, which may go on."""
+        """Whether the first layers of ``other`` are those of this book."""
         if self.attribute != other.attribute or len(self.layer_bits) > len(other.layer_bits):
             return False
         short = other.truncated(len(self.layer_bits))
@@ -129,8 +129,8 @@ class Codebook:
 
 
 class CodebookSet:
-    """The codebooks of a bundle by attribute, in coding order. It may begin with base layers, and get the others when
-    they come.
+    """The codebooks of a bundle by attribute, in coding order. It may hold base layers only, and get the others
+    later (:meth:`extend`).
     """
 
     def __init__(self, books: dict[str, Codebook]) -> None:
@@ -154,12 +154,17 @@ class CodebookSet:
         return tuple(self._books)
 
     @property
+    def sh_degree(self) -> int:
+        """Degree of the harmonics."""
+        return sum(name in self._books for name in SH_REST_ATTRIBUTES)
+
+    @property
     def base(self) -> CodebookSet:
-        """Of base layers alone."""
+        """The same codebooks with base layers only."""
         return CodebookSet({book.attribute: book.truncated(1) for book in self})
 
     def extend(self, other: CodebookSet) -> None:
-        """Go on with the layers of ``other``. Raises :class:`DecodeError` if it is not of the same books."""
+        """Add the further layers of ``other``. Raises :class:`DecodeError` if its first layers are others."""
         if self.attributes != other.attributes or not all(map(Codebook.begins, self, other)):
             raise DecodeError("codebooks: do not go on with those that came before")
         self._books = other._books

@@ -82,8 +82,7 @@ def tolerances(codec: SvqCodec, splats: Splats, steps: Steps, looked: Looked) ->
     """Tolerances for prepared ``splats`` [n] with units ``steps``."""
     trial = _Trial(splats, looked)
     coded = codec.quantise(splats)
-    grid = codec.grid(coded)
-    coded = replace(coded, means=grid.dequantise(grid.quantise(coded.means)))
+    coded = replace(coded, means=codec.means_at(coded))
     shown = _at_base(codec, coded), codec.decode(coded)
     base, top = (share * (trial.error(copy) + looked.wrong**2 / 3) for share, copy in zip(SHARES, shown, strict=True))
     noises = [_noise_alike(splats.means, alike) for alike in ALIKE]

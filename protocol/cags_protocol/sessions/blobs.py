@@ -10,8 +10,8 @@ from cags_protocol.wire import limits
 from cags_protocol.wire.messages import Blob
 
 CODEBOOKS_BLOB, BASE_CODEBOOKS_BLOB, WEIGHTS_BLOB = "codebooks", "base-codebooks", "weights"
-"""Names of the blobs that a server sends: ``codebooks.bin`` of the bundle; before it what of that base layers need, for
-a first picture; and the weights of a restorer.
+"""Names of the blobs that a server sends: ``codebooks.bin`` of the bundle; before it the part of that which tiles
+need at LoD 0, for a first picture; and the weights of a restorer.
 """
 
 MAX_BLOBS_AT_ONCE = 8

@@ -142,18 +142,19 @@ def assert_shows_the_truth(viewer: Viewer, frame: int, *, exact: bool = True, gh
     assert ghosts or not len(phantom), f"frame {frame}: ghosts {phantom.tolist()}"
     if not exact:
         return
-    where, begun = np.searchsorted(ids, truth.ids[seen]), on_its_way(viewer.library, frame)
+    where, begun = np.searchsorted(ids, truth.ids[seen]), on_its_way(viewer, frame)
     for (name, shown), (_, true) in zip(splats.take(where).arrays(), truth.splats.take(seen).arrays(), strict=True):
         same = np.isclose(shown, true).all(axis=tuple(range(1, true.ndim)))
         wrong = np.setdiff1d(truth.ids[seen][~same], begun.get(name, []))
         assert not len(wrong), f"frame {frame}: {name} of {wrong.tolist()}"
 
 
-def on_its_way(library: SceneLibrary, frame: int) -> dict[str, np.ndarray]:
-    """Column -> splats that a ramp has not brought to their new value. It begins at what the client has, and older
-    updates of what was out of sight are not sent after a newer one.
+def on_its_way(viewer: Viewer, frame: int) -> dict[str, np.ndarray]:
+    """Column -> splats that a ramp has not brought to their new value, and that had an older update of which the
+    viewer lacks levels: a ramp begins at what the client has, and older updates of what was out of sight are not sent
+    after a newer.
     """
-    found: dict[str, list[int]] = {}
+    library, found, lacked = viewer.library, dict[str, list[int]](), dict[str, set[int]]()
     first = library.gof_start(frame)
     for at, tile in ((f, tile) for f in range(first, frame + 1) for tile in library.entry(f).tiles):
         if tile.kind != TileKind.UPDATE:
@@ -161,7 +162,12 @@ def on_its_way(library: SceneLibrary, frame: int) -> dict[str, np.ndarray]:
         state = library.reader.open_tile(at, tile.tile)
         assert isinstance(state, UpdateState)
         for column, change in state.values().items():
-            found.setdefault(column, []).extend(change.ids[at + change.frames.astype(int) > frame + 1].tolist())
+            older = lacked.setdefault(column, set())
+            coming = change.ids[at + change.frames.astype(int) > frame + 1].tolist()
+            found.setdefault(column, []).extend(i for i in coming if i in older)
+            told = {lod for lod, size in enumerate(tile.lod_bytes) if size}
+            if not told <= viewer.client.held.get((at, tile.tile), {}).keys():
+                older.update(change.ids.tolist())
     return {column: np.array(ids) for column, ids in found.items()}
 
 

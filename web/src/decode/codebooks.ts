@@ -38,7 +38,7 @@ export class Codebook {
     return this.layerBits.length - 1;
   }
 
-  /** Bits that `layer` (0 = base) adds to a code. Raises {@link DecodeError} for one that is not there (yet). */
+  /** Bits that `layer` (0 = base) adds to a code. Raises {@link DecodeError} for one that has not come. */
   bitsOf(layer: number): number {
     const bits = this.layerBits[layer];
     if (bits === undefined) {
@@ -47,7 +47,7 @@ export class Codebook {
     return bits;
   }
 
-  /** Whether codes of this book mean the same by `other`, which may go on. */
+  /** Whether the first layers of `other` are those of this book. */
   begins(other: Codebook): boolean {
     const { layerBits, tables } = this;
     const same = (a: ArrayLike<number>, b: ArrayLike<number> | undefined): boolean =>

@@ -8,6 +8,7 @@ import type { Kernels } from "./kernels.ts";
 import { LooksTile, type Steps } from "./looks.ts";
 import type { LodLayer, Manifest } from "./manifest.ts";
 import { MAX_POSITION_LAYERS, POSITION } from "./positions.ts";
+import { SH_REST_ATTRIBUTES } from "./splats.ts";
 import { decodeBase } from "./tiles.ts";
 import { UPDATE_VERSION, UpdateTile } from "./updates.ts";
 
@@ -25,6 +26,10 @@ export class TileCodec {
     if (manifest.codec !== "svq") throw new BundleError(`codec '${manifest.codec}' is unknown; this viewer reads svq`);
     const books = readCodebooks(codebooks);
     checkOrder(manifest.lodOrder, layersOf(books, manifest.lodOrder));
+    const degree = SH_REST_ATTRIBUTES.filter((name) => books.has(name)).length;
+    if (degree !== manifest.shDegree) {
+      throw new BundleError(`manifest: sh_degree is ${manifest.shDegree}, but the codebooks are of degree ${degree}`);
+    }
     this.kernels = kernels;
     this.draco = draco;
     this.order = manifest.lodOrder;
@@ -32,8 +37,7 @@ export class TileCodec {
     this.steps = stepTables(manifest, books.get("scale")!.layerBits[0]!);
   }
 
-  /** Go on with all layers of codebooks that began with base layers: tiles that are open take levels from now on. Raises
-   * {@link DecodeError}. */
+  /** Add the layers above the base; open tiles take further levels from now on. Raises {@link DecodeError}. */
   extend(codebooks: Uint8Array): void {
     const books = readCodebooks(codebooks);
     checkOrder(this.order, layersOf(books));

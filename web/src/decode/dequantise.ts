@@ -22,7 +22,7 @@ export interface FreshLayers {
 
 /** Turns codes into splats by one set of codebooks. Raises {@link DecodeError} for a missing attribute. */
 export class Dequantiser {
-  /** They may begin with base layers, and get the others when they come. */
+  /** They may hold base layers only, and get the others later ({@link extend}). */
   readonly books: Map<string, Codebook>;
   readonly shDegree: number;
   private readonly kernels: Kernels;
@@ -39,7 +39,7 @@ export class Dequantiser {
     this.logits = books.has("alpha");
   }
 
-  /** Go on with the layers of `books`. Raises {@link DecodeError} if those are not of the same. */
+  /** Add the further layers of `books`. Raises {@link DecodeError} if its first layers are others. */
   extend(books: ReadonlyMap<string, Codebook>): void {
     const known = [...this.books];
     const goesOn = ([name, book]: [string, Codebook]): boolean => books.has(name) && book.begins(books.get(name)!);

@@ -62,7 +62,7 @@ export class PositionLayers {
     this.bits = new Map([...this.bits].filter(([layer]) => layer <= layers));
   }
 
-  /** The same, apart. */
+  /** An independent copy. */
   fork(): PositionLayers {
     const other = new PositionLayers(this.layers);
     other.bits = new Map(this.bits);

@@ -48,7 +48,7 @@ export class SceneStore {
     return this.opener.codec !== undefined;
   }
 
-  /** What of the codebooks the lowest levels need. Raises {@link DecodeError} or `BundleError`. */
+  /** The part of the codebooks that tiles need at LoD 0. Raises {@link DecodeError} or `BundleError`. */
   baseCodebooks(data: Uint8Array): void {
     this.opener.codec ??= this.codecOf(data);
   }

@@ -130,7 +130,7 @@ export class Assembler {
 }
 
 export const CODEBOOKS_BLOB = "codebooks";
-/** What of them base layers need, for a first picture. */
+/** The part of them that tiles need at LoD 0, for a first picture. */
 export const BASE_CODEBOOKS_BLOB = "base-codebooks";
 const MAX_BLOBS_AT_ONCE = 8;
 

@@ -160,3 +160,9 @@ def test_codebooks_of_another_encoding_do_not_go_on() -> None:
         begun.extend(CodebookSet(other).to_bytes())
     with pytest.raises(BundleError, match="LoD order has"):
         begun.extend(begun.base_codebooks())
+
+
+@pytest.mark.parametrize("data", [books().to_bytes(), books().base.to_bytes()])
+def test_a_manifest_of_another_sh_degree_than_its_codebooks_is_refused(data: bytes) -> None:
+    with pytest.raises(BundleError, match=r"^manifest: sh_degree is 2, but the codebooks are of degree 0$"):
+        SvqTileCodec(replace(manifest(), sh_degree=2), data)

@@ -17,7 +17,6 @@ from cags_common.tiles.payloads import (
     encode_base,
     encode_layer,
 )
-from cags_common.tiles.splat_buffer import Slot, SplatBuffer
 from cags_common.tiles.state import TileState
 from cags_common.tiles.svq import CodebookSet
 from support.codec_scenes import books, cloud
@@ -198,11 +197,3 @@ def test_as_many_ids_as_splats() -> None:
 def test_a_grid_that_float32_cannot_hold_is_refused(field: int, value: float) -> None:
     with pytest.raises(DecodeError, match="position grid"):
         decode_base(changed(payload(10, full_codes(10))[0], field, value), BOOKS)
-
-
-def test_splats_of_another_sh_degree_than_the_manifests_are_refused() -> None:
-    buffer, splats = SplatBuffer(5, 1), opened(5, native=False).dequantise()
-    slot = Slot(0, (0, 0))
-    buffer.add(slot)
-    with pytest.raises(DecodeError, match="SH degree 0, the manifest says 1"):
-        buffer.write(slot, 0, np.arange(5, dtype=np.int32), splats)
