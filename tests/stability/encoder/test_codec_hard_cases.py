@@ -82,7 +82,8 @@ def coded(splats: Splats, quantiser: str, *, threads: int = 1) -> tuple[SvqCodec
         codec.encode_tile(np.arange(a, b, dtype=np.int32), rows.take(slice(a, b)), id_range=True)
         for a, b in tile_ranges(len(splats), TILE)
     ]
-    info = Manifest("", 30.0, 1, (0,), (len(splats),), 0, ((0, 0, 0), (0, 0, 0)), codec.lod_order, ())
+    capacity, nowhere = (len(splats),), ((0, 0, 0), (0, 0, 0))
+    info = Manifest("", 30.0, 1, (0,), capacity, splats.sh_degree, nowhere, codec.lod_order, ())
     opener = TileOpener(tile_codec(info, codec.codebooks()), threads)
     states = []
     firsts = [First((0, number), 0, memoryview(payloads[0])) for number, payloads in enumerate(tiles)]
