@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 
+from cags_common.errors import DecodeError
 from cags_common.runtime.rare_log import RareLog
 
 MAX_NOTICES = 16
@@ -46,6 +47,11 @@ class PlayStats:
     notices: deque[str] = field(default_factory=lambda: deque(maxlen=MAX_NOTICES))
     """What the viewer has been told, each once."""
     _told: RareLog = field(default_factory=lambda: RareLog(log, burst=MAX_NOTICES))
+
+    def damaged(self, error: DecodeError) -> None:
+        """Count a payload that did not decode, and log why."""
+        self.decode_errors += 1
+        self._told.write(logging.WARNING, "damaged", "%s", error)
 
     def notice(self, text: str) -> None:
         """Log a warning for the viewer, unless the same was logged before."""

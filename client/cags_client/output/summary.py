@@ -82,10 +82,10 @@ def _trouble(summary: Mapping[str, Any]) -> list[Row]:
     """What hardly ever is, and is told of only then."""
     rows = _shortages(summary)
     if summary["reconnects"]:
-        away = f"{summary['reconnects']} times, {summary['away_ms'] / 1e3:.1f} s without a server"
+        away = f"times: {summary['reconnects']}; {summary['away_ms'] / 1e3:.1f} s without a server"
         rows.append(("reconnected", away))
     if summary["decode_errors"]:
-        asked = f"{summary['decode_errors']} payloads did not decode; key pictures asked for: "
+        asked = f"payloads that did not decode: {summary['decode_errors']}; key pictures asked for: "
         rows.append(("damaged", asked + str(summary["keyframe_requests"])))
     return rows
 

@@ -231,7 +231,8 @@ class Player:
             return
         assert isinstance(result, DecodeResult)
         self._decode_queue.decoded()
-        self.stats.decode_errors += len(result.errors)
+        for error in result.errors:
+            self.stats.damaged(error)
         whole, first = result.whole >= self.settings.start_frame, self.stats.first_picture_us is None
         waits = whole and self._codebooks is None  # for a while, before the play can begin
         self._preview_due |= result.references or waits if first else self._startup.preview(now_us)

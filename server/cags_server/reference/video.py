@@ -12,11 +12,16 @@ class ReferenceVideo:
 
     def __init__(self) -> None:
         self.needs_idr = True
-        """Whether the next picture must be an IDR picture."""
+        """Whether the next picture must be an IDR picture; references that say nothing in between change nothing."""
         self.silent = True
         """Whether the newest reference said nothing: no earlier one is shown any more."""
         self._seq = 0
         self._idr_seq = 0
+
+    @property
+    def urgent(self) -> bool:
+        """Whether the client waits for an IDR picture; not where it was last told that it lacks nothing."""
+        return self.needs_idr and not self.silent
 
     def broken(self) -> None:
         """A picture that the encoder made will not reach the client."""
@@ -39,6 +44,7 @@ class ReferenceVideo:
             self._seq += 1
         if coded.idr:
             self._idr_seq = self._seq
+            self.needs_idr = False
         pose, kind = plan.predicted.pose, coded.kind.value
         error = coded.after if coded.kind is ReferenceKind.PICTURE and coded.after is not None else 0.0
         message = ReferenceFrame(

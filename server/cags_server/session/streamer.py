@@ -359,7 +359,6 @@ class Streamer:
 
     def _job(self, plan: FramePlan, now_us: int) -> FrameJob:
         if plan.speaks:
-            self._video.needs_idr = False
             self._coder.follow(self._link.estimate_bps(now_us), self._schedule.reference_period_us)
         size = self._coder.width_px, self._coder.height_px
         intrinsics = widened(self._hello.intrinsics, plan.margins, *size)
@@ -443,7 +442,7 @@ class Streamer:
                 return True
         if not self._pays:
             return self._schedule.between_renders(LOOK_EVERY, seen=seen)
-        return not self._video.needs_idr and self._schedule.between_renders(self._settings.reference_every, seen=seen)
+        return not self._video.urgent and self._schedule.between_renders(self._settings.reference_every, seen=seen)
 
     @property
     def _given_up(self) -> bool:

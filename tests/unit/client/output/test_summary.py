@@ -45,8 +45,8 @@ def test_what_went_wrong_is_told_only_where_it_did() -> None:
         frames_dropped=52, frames_missed=2, reconnects=1, away_ms=1500.0, decode_errors=3, keyframe_requests=2
     )
     assert found["shown"] == "38 of 90 frames; 52 skipped, the next one being due; 2 without all of their data"
-    assert found["reconnected"] == "1 times, 1.5 s without a server"
-    assert found["damaged"] == "3 payloads did not decode; key pictures asked for: 2"
+    assert found["reconnected"] == "times: 1; 1.5 s without a server"
+    assert found["damaged"] == "payloads that did not decode: 3; key pictures asked for: 2"
 
 
 def test_what_a_play_was_short_of_is_told_where_it_was() -> None:

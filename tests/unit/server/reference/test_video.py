@@ -18,7 +18,6 @@ INTRINSICS = Intrinsics.of_fov(400, 300, 1.0, 0.8)
 def send(video: ReferenceVideo, *, idr: bool = False, kind: ReferenceKind = ReferenceKind.PICTURE) -> ReferenceFrame:
     plan = SimpleNamespace(frame=3, basis=7, predicted=SimpleNamespace(pose=Pose.identity()))
     render: Any = SimpleNamespace(plan=plan, intrinsics=INTRINSICS, coded=Coded(kind, b"h264", 0.06, idr))
-    video.needs_idr = False
     message = video.message(render, 9).message
     assert isinstance(message, ReferenceFrame)
     return message
@@ -37,6 +36,18 @@ def test_what_says_nothing_is_no_picture() -> None:
     silent = send(video, kind=ReferenceKind.NOTHING)
     assert (silent.seq, send(video).seq) == (1, 2)
     video.dropped(silent)
+    assert not video.needs_idr
+
+
+def test_a_picture_that_must_stand_alone_is_owed_until_there_is_one() -> None:
+    """References that say nothing come in between: the pictures after them must not need the one that was lost."""
+    video = ReferenceVideo()
+    send(video, idr=True)
+    video.dropped(send(video))
+    assert video.urgent
+    send(video, kind=ReferenceKind.NOTHING)
+    assert video.needs_idr and not video.urgent
+    send(video, idr=True)
     assert not video.needs_idr
 
 
