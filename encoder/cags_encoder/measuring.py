@@ -7,9 +7,10 @@ motion code their positions more exactly than their looks do.
 
 For the order, the first frame is drawn from a few views for every attribute and number of its layers, with all layers
 of the other attributes. Squared errors of attributes nearly add up, so choosing the largest reduction per byte next is
-nearly optimal. The gain of each level is then measured along that order, which ends where
-no visible error is left, in this frame and in later ones. Unlike in the paper no restoration is applied, because the
-client's restorer and references are not known here.
+nearly optimal. The gain of each level is then measured along that order. It ends where no visible error is left, or
+where all further levels together bring too little: twice the bytes should at least halve the squared error. In most
+clips a tenth more does; where harmonics, say, stay coarse for good, what refines the rest is wasted. Unlike in the
+paper no restoration is applied, because the client's restorer and references are not known here.
 """
 
 from __future__ import annotations
@@ -46,11 +47,6 @@ POSITIONS_SHARE = 0.5
 
 ENOUGH = 10 ** (-65.0 / 10)
 """Squared error at which the ladder ends. The rounding of an 8-bit display is four times as large (58.9 dB)."""
-
-NO_GAIN = 1.001
-"""Ratio to the squared error of all levels at which the ladder ends, too: the remaining levels change no picture, like
-rotations of balls.
-"""
 
 UNSEEN = 10 ** (-45.0 / 10)
 """Squared error of a patch that is tolerable whatever the looks are."""
@@ -99,8 +95,8 @@ def measure(
 ) -> LodMeasurement:
     """The best LoD order of ``codec`` for ``splats`` [n] seen by ``cameras``, and the gain of each level.
 
-    With ``refine`` the step of positions becomes as fine as those of ``still`` [n] splats need. The order ends where no
-    visible error is left, in ``splats`` and in ``later`` frames.
+    With ``refine`` the step of positions becomes as fine as those of ``still`` [n] splats need. The order ends as the
+    module says, for ``splats`` and for ``later`` frames.
     """
     trial = _Trial(codec, splats, cameras, rasteriser, still)
     if refine:
@@ -119,7 +115,8 @@ def measure(
     cut = {(name, layer): look({**full, name: layer}) for name, layer in layers}
     order = cheapest_first({at: seen.error for at, seen in cut.items()}, best.error, full, sizes)
     levels = [look(depths_at(order, lod)) for lod in range(len(order) + 1)]
-    kept = _enough(order, levels, later, lambda frame: _Trial(trial.codec, frame, cameras, rasteriser))
+    totals = np.cumsum([trial.base_bytes(), *(sizes[item.attribute, item.layer] for item in order)])
+    kept = _enough(order, levels, totals, later, lambda frame: _Trial(trial.codec, frame, cameras, rasteriser))
     order, levels = order[:kept], levels[: kept + 1]
     errors = np.array([seen.error for seen in levels])
     gains = tuple(round(float(gain), 4) for gain in 10 * np.log10(errors[:-1] / errors[1:]))
@@ -130,10 +127,9 @@ def measure(
         for name in full
         for layer in range(full[name] + 1)
     ]
-    added = [trial.base_bytes(), *(sizes[item.attribute, item.layer] for item in order)]
     ladder = [
         LevelQuality(lod, int(total), *seen.rounded())
-        for lod, (total, seen) in enumerate(zip(np.cumsum(added), levels, strict=True))
+        for lod, (total, seen) in enumerate(zip(totals[: kept + 1], levels, strict=True))
     ]
     left_out = full.get(POSITION, 0) - position_layers(order)
     step = trial.codec.position_step * 2**left_out
@@ -141,16 +137,21 @@ def measure(
 
 
 def _enough(
-    order: Sequence[LodLayer], levels: Sequence[_Seen], later: Iterable[Splats], trial: Callable[[Splats], _Trial]
+    order: Sequence[LodLayer],
+    levels: Sequence[_Seen],
+    totals: NDArray[np.int64],
+    later: Iterable[Splats],
+    trial: Callable[[Splats], _Trial],
 ) -> int:
-    """Number of levels of ``order`` after which no visible error is left: in the first frame, whose ``levels`` are
-    given, and in ``later`` ones. Those are not drawn if the first frame needs every level.
+    """Number of levels of ``order`` that are worth their bytes: in the first frame, whose ``levels`` with ``totals``
+    bytes are given, and in ``later`` ones. Those are not drawn if the first frame needs every level.
     """
-    kept = next(lod for lod, seen in enumerate(levels) if seen.error <= max(ENOUGH, NO_GAIN * levels[-1].error))
+    longer = totals[-1] / totals
+    kept = next(lod for lod, seen in enumerate(levels) if seen.error <= max(ENOUGH, levels[-1].error * longer[lod]))
     for splats in later if kept < len(order) else ():
         shown = trial(splats)
-        enough = max(ENOUGH, NO_GAIN * shown.look(depths_at(order, len(order))).error)
-        while kept < len(order) and shown.look(depths_at(order, kept)).error > enough:
+        least = shown.look(depths_at(order, len(order))).error
+        while kept < len(order) and shown.look(depths_at(order, kept)).error > max(ENOUGH, least * longer[kept]):
             kept += 1
     return kept
 

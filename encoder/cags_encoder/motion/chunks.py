@@ -45,7 +45,7 @@ MOST_UNITS = float(1 << 23)
 (:data:`cags_encoder.tracks.placing.FARTHEST`); lines that continue the motion of splats that have ended may.
 """
 
-BASE_ZONES, LAST_ZONES = (0.2, 0.1, 0.0), (0.2, 0.1)
+BASE_ZONES, LAST_ZONES = (0.5, 0.35, 0.2, 0.1, 0.0), (0.5, 0.35, 0.2, 0.1)
 """Dead zones of the base and of the last level, from the fewest bytes on. All are tried before units are halved."""
 
 BASE_LEVELS = 3

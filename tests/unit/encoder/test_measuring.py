@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -166,6 +168,39 @@ def test_a_measured_order_is_complete_and_its_gains_add_up() -> None:
     assert ladder[-1].psnr_db == max(row.psnr_db for row in alone), "all layers of all attributes"
     assert ladder[-1].ssim > ladder[0].ssim and ladder[-1].size_bytes > ladder[0].size_bytes > 0
     assert LodQuality.from_json(found.quality.to_json()) == found.quality
+
+
+@pytest.mark.parametrize(
+    ("psnr_db", "kept"),
+    [
+        ([20, 30, 40, 50], 3),
+        ([20, 30, 40, 41.5], 3),  # 1.25 dB are a quarter of the bytes' worth
+        ([20, 30, 40, 41], 2),
+        ([20, 30, 30, 40], 3),  # two levels that pay together
+        ([20, 30, 66, 76], 2),  # nothing to see
+    ],
+)
+def test_the_order_ends_where_bytes_bring_less_than_their_share(psnr_db: list[float], kept: int) -> None:
+    order = [LodLayer("sh0", layer) for layer in (1, 2, 3)]
+    levels = [measuring._Seen(10 ** (-db / 10), 1.0) for db in psnr_db]
+    totals = np.array([100, 200, 300, 400])
+
+    def never(_: Splats) -> NoReturn:
+        pytest.fail("no later frame to look at")
+
+    assert measuring._enough(order, levels, totals, (), never) == kept
+
+
+def test_a_later_frame_may_need_levels_that_the_first_does_not() -> None:
+    order = [LodLayer("sh0", layer) for layer in (1, 2, 3)]
+    levels = [measuring._Seen(10 ** (-db / 10), 1.0) for db in (20, 66, 67, 68)]
+
+    class Later:
+        def look(self, depths: Mapping[str, int]) -> measuring._Seen:
+            return measuring._Seen(10 ** (-(20 + 10 * depths.get("sh0", 0)) / 10), 1.0)
+
+    later: Any = Later()
+    assert measuring._enough(order, levels, np.array([100, 200, 300, 400]), [cloud(3, 1)], lambda _: later) == 3
 
 
 def _balls(n: int, seed: int) -> Splats:
