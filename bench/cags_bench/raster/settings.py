@@ -32,13 +32,18 @@ class RasterSettings:
         False, "instead: client table, references per second and growth on this machine's graphics processor"
     )
     clients: str = setting("1,8,64", "numbers of clients for --table, separated by commas")
+    servers: str = setting(
+        "1,4",
+        "numbers of server processes that share the device, separated by commas, for --table; the clients are divided "
+        "among them",
+    )
     growing: str = setting(
         "50000,150000,400000,1000000,2000000,4000000", "numbers of splats for --table, separated by commas"
     )
 
     def __post_init__(self) -> None:
         check_settings(self)
-        self.size_list, self.thread_list, self.client_list, self.growth_list  # noqa: B018 - refuse what does not parse
+        self.size_list, self.thread_list, self.client_list, self.server_list, self.growth_list  # noqa: B018 - refuse what does not parse
 
     @property
     def size_list(self) -> list[tuple[int, int]]:
@@ -61,6 +66,11 @@ class RasterSettings:
     def client_list(self) -> list[int]:
         """Numbers of clients."""
         return _numbers("clients", self.clients)
+
+    @property
+    def server_list(self) -> list[int]:
+        """Numbers of server processes."""
+        return _numbers("servers", self.servers)
 
     @property
     def growth_list(self) -> list[int]:

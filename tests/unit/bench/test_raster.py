@@ -11,6 +11,7 @@ from cags_bench.raster import backends
 from cags_bench.raster.backends import measure_backends
 from cags_bench.raster.cases import _growth_checks, _peer_checks, measure
 from cags_bench.raster.hardware import measure_table
+from cags_bench.raster.many_clients import Crowd, _side_by_side
 from cags_bench.raster.settings import RasterSettings
 from cags_bench.raster.upkeep import upkeep_checks
 from cags_common.errors import ConfigError
@@ -89,14 +90,25 @@ def test_backends_are_held_to_the_definition_and_the_gpus_work_is_counted(monkey
 
 @needs_adapter
 def test_the_table_names_the_adapter_and_has_clients_and_growth():
-    small = replace(SMALL, table=True, sizes="48x32", clients="1,2", growing="500,900")
+    small = replace(SMALL, table=True, sizes="48x32", clients="1,3", servers="1,2", growing="500,900")
     with software_passes():
         *lines, last = measure_table(small)
     assert [line["stage"] for line in lines if line["case"] == "client"][:2] == ["drawn and shown", "whole frame"]
-    assert [line["clients"] for line in lines if line["case"] == "references"] == [1, 1, 2, 2]
+    shared = [(line["clients"], line["servers"], line["moving"]) for line in lines if line["case"] == "references"]
+    assert shared == [(n, s, moving) for n, s in ((1, 1), (3, 1), (3, 2)) for moving in (False, True)]
     assert [line["splats"] for line in lines if line["case"] == "growth"] == [500, 900]
     assert all(line["adapter"] == last["adapter"] != "" for line in lines)
     assert last["checks"] == [], "targets are for 1600x1200 and 64 clients"
+
+
+@needs_adapter
+def test_a_server_that_fails_ends_the_others_with_its_reason():
+    small = replace(SMALL, table=True, sizes="48x32", growing="500")
+    crowds = [
+        Crowd(small, 2, part, moving=False) for part in (range(1), range(5, 6))
+    ]  # there is no fifth of two places
+    with software_passes(), pytest.raises(IndexError):
+        _side_by_side(crowds)
 
 
 def test_the_table_without_hardware_is_refused_with_the_reason(monkeypatch):
