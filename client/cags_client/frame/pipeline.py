@@ -190,8 +190,13 @@ class ClientPipeline:
         """Number of references received so far."""
         return self._references.count
 
-    def forget_references(self, until: int | None = None) -> None:
-        """Discard received references: all, or the first ``until``."""
+    def jump(self, frame: int) -> None:
+        """The viewer jumped to ``frame``, where the held tiles do: forget references."""
+        self._shown_frame = frame
+        self._references.reset()
+
+    def forget_references(self, until: int) -> None:
+        """Discard the first ``until`` received references."""
         self._references.reset(until)
 
     def visible_lods(self, camera: Camera) -> dict[tuple[int, int], int]:
@@ -211,8 +216,11 @@ class ClientPipeline:
         """The display's camera at ``pose``, with the scene's near plane."""
         return Camera(self.settings.intrinsics, pose, self.info.near)
 
-    def present(self, frame: int, camera: Camera, share: float = 0.0, *, half: bool = False) -> PresentedFrame:
-        """Draw media frame ``frame`` from ``camera``, with splats moved to ``share`` frames after it.
+    def present(
+        self, frame: int, camera: Camera, share: float = 0.0, *, half: bool = False, still: bool = False
+    ) -> PresentedFrame:
+        """Draw media frame ``frame`` from ``camera``, with splats moved to ``share`` frames after it. ``still``: the
+        clip stands still there, so that no reference of a later frame is waited for.
 
         At ``half`` everything up to the shown picture is computed on a quarter of the pixels, through a footprint of
         its own; only that picture is enlarged.
@@ -225,7 +233,7 @@ class ClientPipeline:
         self._references.show(frame, self.info.frames)
         reference = self._references.newest(self.settings.reference_age)
         with watch("update"):
-            store, committed = self._committed(frame, share, reference)
+            store, committed = self._committed(frame, share, reference, still=still)
             scene = self._updated(store, committed)
             if reference is not None and reference.frame == frame and reference.order > self._used:
                 self._used = reference.order
@@ -258,12 +266,14 @@ class ClientPipeline:
             tier=self._restorer_wanted,
         )
 
-    def _committed(self, frame: int, share: float, reference: Received | None) -> tuple[GofBuffer, Committed]:
+    def _committed(
+        self, frame: int, share: float, reference: Received | None, *, still: bool
+    ) -> tuple[GofBuffer, Committed]:
         """Commit the frame up to the right mark."""
         moved = self._store.move(frame, share) if share else None
         if moved is not None:
             return moved
-        basis = self._basis_at(frame, reference)
+        basis = self._basis_at(frame, reference, still=still)
         newest = self._marked
         store, committed = self._store.commit(frame, basis)
         if committed.fresh:
@@ -272,11 +282,12 @@ class ClientPipeline:
         self._changes.committed(frame, mark, committed.rows, committed.began)
         return store, committed
 
-    def _basis_at(self, frame: int, reference: Received | None) -> int | None:
+    def _basis_at(self, frame: int, reference: Received | None, *, still: bool) -> int | None:
         """The mark up to which ``frame`` is shown; None for everything received.
 
         With a difference this is the mark that it assumes. A picture assumes none, because it is compared with the
-        displayed splats; the frame is then shown up to the mark of the next received reference, or to the newest mark.
+        displayed splats; the frame is then shown up to the mark of the next received reference, or to the newest mark
+        (always, while the clip stands ``still``).
         While the frame's reference is late, the frame is shown up to the mark of the newest received one, which may
         have come after its own frame, but to no mark before the displayed one. If that one says nothing, there is
         nothing to keep in force, and nothing is waited for. Without references there are no marks.
@@ -286,7 +297,7 @@ class ClientPipeline:
             if own or (not empty and frame - reference.frame <= PATIENCE_FRAMES):
                 self._committed_mark = max(reference.basis, 0 if own else self._committed_mark)
                 return self._committed_mark
-        coming = self._references.next_basis()
+        coming = None if still else self._references.next_basis()
         self._committed_mark = self._marked if coming is None else min(coming, self._marked)
         return self._committed_mark or None
 

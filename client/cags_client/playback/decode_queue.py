@@ -25,6 +25,8 @@ class DecodeQueue:
         self._waiting: deque[DataEvent] = deque()
         self._tile_bytes = self._reference_bytes = 0
         self._waiting_bytes = self._decoding_bytes = 0
+        self.quiet = True
+        """Whether nothing has come since :meth:`traffic` was asked last."""
 
     @property
     def undecoded_bytes(self) -> int:
@@ -34,6 +36,7 @@ class DecodeQueue:
     def add(self, event: DataEvent) -> None:
         """The next in line."""
         self._waiting.append(event)
+        self.quiet = False
         self._waiting_bytes += _size(event)
         match event:
             case ev.TileReceived(_, payload):
@@ -62,19 +65,15 @@ class DecodeQueue:
         self._decoding_bytes = 0
 
     def clear(self) -> None:
-        """What waits is of no use any more."""
-        self._waiting.clear()
+        """What waits is of no use any more, but for the beginnings of connections, by which marks are told apart."""
+        self._waiting = deque(event for event in self._waiting if isinstance(event, Restarted))
         self._waiting_bytes = 0
-
-    @property
-    def quiet(self) -> bool:
-        """Whether no media has come since :meth:`traffic` was asked last."""
-        return not (self._tile_bytes or self._reference_bytes)
 
     def traffic(self) -> Traffic:
         """What has come since this was asked last."""
         traffic = Traffic(self._tile_bytes, self._reference_bytes)
         self._tile_bytes = self._reference_bytes = 0
+        self.quiet = True
         return traffic
 
     def held(self, stored: Iterable[InventoryEntry]) -> list[InventoryEntry]:

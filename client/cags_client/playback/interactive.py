@@ -150,10 +150,12 @@ class InteractivePlayer(Player):
         else:
             self._tell("pause", self.frame, now_us, now_us)
 
-    def _tell(self, action: str, frame: int, at_us: int, now_us: int) -> None:
+    def _tell(self, action: str, frame: int, at_us: int, now_us: int, *, keeps: bool | None = None) -> None:
+        """``keeps``: whether what is held does for ``frame``; None: as the store says now."""
         if self.stats.started_us is None:
             return
-        keeps = self.pipeline is not None and self.pipeline.keeps(frame)
+        if keeps is None:
+            keeps = self.pipeline is not None and self.pipeline.keeps(frame)
         loop = self.loop and keeps and self.info is not None and len(self.info.gof_starts) == 1
         self._control(Control(action, frame, at_us, self.rate, loop=loop, keeps=keeps), now_us)
 
@@ -161,14 +163,14 @@ class InteractivePlayer(Player):
         assert self.pipeline is not None
         self._wanted_frame = None
         keeps = self.pipeline.keeps(frame)
-        if not keeps:
+        if keeps:
+            self.pipeline.jump(frame)
+        else:
             self._decode_queue.clear()
             self.pipeline.reset(frame)
-            self._restarts_due += not self.away
-        else:
-            self.pipeline.forget_references()
+            self._forgot(frame)
         self.frame = frame
-        self._tell("seek", frame, now_us, now_us)
+        self._tell("seek", frame, now_us, now_us, keeps=keeps)
         if self.playing:
             self._session.control(Control("pause", frame, now_us, self.rate, keeps=keeps), now_us=now_us)
         self._awaited = (frame, now_us + SEEK_PATIENCE_US)
@@ -209,4 +211,5 @@ class InteractivePlayer(Player):
         if pose == self._shown_pose and self._decode_queue.quiet:
             return None
         self._shown_pose, half = pose, self._begin(now_us)
-        return Present(self.frame, now_us, pose, self.pipeline, self._decode_queue.traffic(), half=half)
+        traffic = self._decode_queue.traffic()
+        return Present(self.frame, now_us, pose, self.pipeline, traffic, half=half, still=True)

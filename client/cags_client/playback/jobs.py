@@ -103,6 +103,8 @@ class Present:
     """Whether it is the first picture, shown before the play begins."""
     half: bool = False
     """Whether it is worked out at half the pixels a side."""
+    still: bool = False
+    """Whether the clip stands still there."""
 
     @property
     def media(self) -> bool:
@@ -111,7 +113,8 @@ class Present:
 
     def run(self) -> PresentedFrame:
         """Draw it."""
-        return self.pipeline.present(self.frame, self.pipeline.camera(self.pose), self.share, half=self.half)
+        camera = self.pipeline.camera(self.pose)
+        return self.pipeline.present(self.frame, camera, self.share, half=self.half, still=self.still)
 
 
 @dataclass(frozen=True, slots=True)

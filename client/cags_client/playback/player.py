@@ -93,6 +93,7 @@ class Player:
         self._weights: bytes | None = None
         self._decode_queue = DecodeQueue()
         self._restarts_due = 0  # jumps that discarded everything and that the server does not know of yet
+        self._forgotten: int | None = None  # frame of the last one since the Hello that has no answer yet
         self._timeline = Timeline(fps=1.0, frames=1)
         """The clip's timeline once the manifest has come, which the ticks below count on too; one frame until then."""
         self._presenting, self._next_tick, self._end_tick = False, 0, 1
@@ -182,7 +183,7 @@ class Player:
     def connected(self, now_us: int) -> None:
         """A new connection is open: send a Hello with the inventory of held tiles."""
         self._session = ClientSession(None if self._welcome is None else RESUMING, now_us=now_us)
-        self._restarts_due = 0
+        self._restarts_due, self._forgotten = 0, None
         self._resume_at, self._asked_by = self._state_of_play(now_us), self._timeline
         frame = self.settings.start_frame if self._resume_at is None else self._resume_at.frame
         hello = self._hello(frame, self._viewpoint.pose_at(now_us))
@@ -295,6 +296,13 @@ class Player:
         if not self._restarts_due:
             self._decode_queue.add(event)
 
+    def _forgot(self, frame: int) -> None:
+        """Nothing is held any more, because the viewer jumped to ``frame``; the server is about to be told."""
+        if self.away:
+            self._forgotten = frame
+        else:
+            self._restarts_due += 1
+
     def _on_closed(self, code: str, reason: str, now_us: int) -> None:
         if self.finished:
             return
@@ -339,6 +347,10 @@ class Player:
                 self._fail(error)
                 return
             self._open(now_us)
+        if self._forgotten is not None and welcome.resumed:  # the Hello spoke of more than is held
+            self._session.control(Control("seek", self._forgotten, now_us), now_us=now_us)
+            self._restarts_due += 1
+        self._forgotten = None
         if self._resume_at is not None:
             if self._timeline is not self._asked_by:  # the viewer requested something meanwhile
                 self._resume_at = self._state_of_play(now_us) or self._resume_at

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from cags_protocol.events import Outgoing
 from cags_protocol.wire import limits
 from cags_protocol.wire.encoding import encode, encode_parts
-from cags_protocol.wire.messages import Fragment, Mark, ReferenceFrame
+from cags_protocol.wire.messages import Blob, Fragment, Mark, ReferenceFrame
 
 FRAGMENT_HEADER_BYTES = 48
 """Room left in a packet for the header of a :class:`Fragment`; its fields at their widest take 41 bytes."""
@@ -99,7 +99,8 @@ class SendQueue:
         return iter(self._entries.values())
 
     def put(self, outgoing: Outgoing) -> None:
-        """Queue a message. Beyond the bounds the least valuable one that is not started is dropped, maybe this one.
+        """Queue a message. Beyond the bounds the least valuable one that is not started is dropped, maybe this one; but
+        no part of a blob, without which a client could do nothing for the whole session.
 
         Raises :class:`ProtocolError` for a message that must not travel.
         """
@@ -114,7 +115,11 @@ class SendQueue:
         if outgoing.deadline_us is not None:
             heapq.heappush(self._deadlines, (outgoing.deadline_us, ident))
         while self.queued_bytes > self._max_bytes or len(self._entries) > self._max_messages:
-            self.drop(max(self._entries.values(), key=lambda e: (not e.started, e.rank)), "overflow")
+            spare = (e for e in self._entries.values() if not isinstance(e.outgoing.message, Blob))
+            least = max(spare, key=lambda e: (not e.started, e.rank), default=None)
+            if least is None:
+                break
+            self.drop(least, "overflow")
 
     def cancel(self, match: Callable[[Outgoing], bool], *, started: bool = True) -> None:
         """Drop every message that ``match`` names; without ``started`` only those of which nothing was sent."""

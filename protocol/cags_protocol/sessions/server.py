@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from cags_common.errors import ProtocolError
 from cags_protocol import events as ev
-from cags_protocol.delivery.flow import Flight, FlowControl
+from cags_protocol.delivery.flow import AckResult, Flight, FlowControl
 from cags_protocol.delivery.send_queue import Entry, SendQueue
 from cags_protocol.sessions.base import Session, SessionTimers, UnexpectedMessageError
 from cags_protocol.sessions.states import SERVER_TABLE, State
@@ -197,10 +197,12 @@ class ServerSession(Session[ev.ServerEvent]):
 
     def _on_ack(self, ack: Ack, now_us: int) -> None:
         result = self._flow.on_ack(ack.ranges, ack.received_us, ack.delay_us, now_us)
-        if ack.evicted:
+        if result is not None:
+            self._on_arrivals(ack, result, now_us)
+        if ack.evicted:  # after what arrived: it may have been discarded at once
             self._emit(ev.Evicted(ack.evicted))
-        if result is None:
-            return
+
+    def _on_arrivals(self, ack: Ack, result: AckResult, now_us: int) -> None:
         trips = self._flow.round_trips
         sample = ev.AckSample(
             now_us=now_us,

@@ -105,7 +105,7 @@ class Mirror:
     def resume(self, inventory: Iterable[InventoryEntry]) -> None:
         """Over this connection the client begins with so many LoDs of each tile, and with no end of a frame."""
         layered = self._library.decoded.layered
-        for held in inventory:
+        for held in sorted(inventory, key=lambda tile: (tile.frame, tile.tile)):  # motion after the looks that it moves
             if held.lods and self._has(held):
                 first = 0 if layered else held.lods - 1
                 sizes = self._library.decoded.entry((held.frame, held.tile)).lod_bytes[first : held.lods]

@@ -119,6 +119,9 @@ class Streamer:
         self._went_ahead: FrameRecord | None = None  # what was sent for the pending render
         self._marks: list[ev.Outgoing] = []
         self._joined_us = self._marked_us = 0
+        self._restarted = False  # the client was told to forget everything
+        self._under_way: set[ev.Outgoing] = set()  # tiles that were written, and have not arrived
+        self._forgotten: set[ev.Outgoing] = set()  # those written before the client was told to forget them
         self._greeting_due_us: int | None = None  # of the first picture, before the viewer starts playback
         self._damaged = False  # a sent message did not arrive completely
         self._no_place = False  # at the renderer, for the frame that is due
@@ -217,10 +220,12 @@ class Streamer:
         """A message was written completely."""
         self._dispatch.sent(outgoing)
         self._left(outgoing)
+        if isinstance(outgoing.message, TileLayers):
+            self._under_way.add(outgoing)
         if isinstance(outgoing.message, TileLayers | FrameEnd):
             if self._coder.may_compare:
                 self._mirror.sent(outgoing.message, outgoing.payload)
-            if now_us - self._marked_us >= MARK_EVERY_US and self._coder.kind is not None:
+            if self._restarted if self._coder.kind is None else now_us - self._marked_us >= MARK_EVERY_US:
                 self._mark(now_us)
 
     def _left(self, outgoing: ev.Outgoing) -> int | None:
@@ -252,6 +257,10 @@ class Streamer:
             self._tiles.forgotten = False
             self._mirror.restart(frame)
             self._dispatch.arrivals.forget()
+            self._forgotten |= self._under_way
+            # Once there was a mark, clients show nothing that came after the newest, and no reference will bring one
+            # to those without.
+            self._restarted = True
             self._mark(now_us, restart=True)
 
     def _mark(self, now_us: int, *, restart: bool = False) -> int:
@@ -271,7 +280,11 @@ class Streamer:
             return
         self._dispatch.budget.settled(outgoing)
         if isinstance(message, TileLayers):
-            self._tiles.settled(message, delivered=delivered)
+            self._under_way.discard(outgoing)
+            if outgoing in self._forgotten:
+                self._forgotten.discard(outgoing)
+            else:
+                self._tiles.settled(message, delivered=delivered)
             self._startup.settled(message)
         elif isinstance(message, ReferenceFrame) and not delivered:
             self._video.dropped(message)

@@ -89,9 +89,10 @@ export class References<P> {
    *
    * That which the frame's own reference assumes. A picture assumes none: as much is shown as no coming reference falls
    * behind. While an own reference is late, as much is shown as the newest one assumes, which may have come after its
-   * own frame, and no less than before; if that one says nothing, there is nothing to keep in force.
+   * own frame, and no less than before; if that one says nothing, there is nothing to keep in force. While the clip stands
+   * `still`, no reference of a later frame is waited for.
    */
-  basis(found: Received<P> | undefined): number | undefined {
+  basis(found: Received<P> | undefined, still = false): number | undefined {
     const reference = found?.reference;
     if (reference && assumes(reference)) {
       const own = reference.frame === this.frame;
@@ -100,7 +101,7 @@ export class References<P> {
         return this.committed;
       }
     }
-    this.committed = Math.min(this.nextBasis(), this.mark);
+    this.committed = Math.min(still ? Infinity : this.nextBasis(), this.mark);
     return this.committed || undefined;
   }
 

@@ -297,7 +297,7 @@ export class Player {
         break;
       case "flushed":
         this.#whole.clear();
-        if (this.#awaited) this.#awaited.flushes--;
+        if (this.#awaited?.flushes) this.#awaited.flushes--;
         this.#video.forget();
         this.#references.reset();
         break;
@@ -416,7 +416,7 @@ export class Player {
     this.#news = false;
     this.#references.show(frame, this.info!.frames);
     const reference = this.#references.newest(REFERENCE_AGE);
-    const basis = this.#references.basis(reference);
+    const basis = this.#references.basis(reference, !this.playing);
     const { pose, intrinsics } = this.#view();
     const camera = this.#cameraOf({ pose, intrinsics });
     const speaks = this.correct && reference?.picture ? reference : undefined;

@@ -45,9 +45,9 @@ export class DecodeQueue {
     return batch;
   }
 
-  /** What waits is of no use any more. */
+  /** What waits is of no use any more, but for the beginnings of connections, by which marks are told apart. */
   clear(): void {
-    this.waiting = [];
+    this.waiting = this.waiting.filter((event) => event.type === "restarted");
     this.undecodedBytes = 0;
   }
 

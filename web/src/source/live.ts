@@ -76,6 +76,8 @@ export class LiveSource implements SceneSource {
   private order = 0;
   private markedBefore = 0; // newest mark of connections before this one
   private restartsDue = 0; // jumps by which everything was forgotten, and of which the server has not heard
+  private forgotten: number | undefined; // frame of the last such jump since the Hello that has no answer yet
+  private flushedBy: DataEvent | undefined; // the mark that the page has been told of already
   private playState: KeepingState | undefined;
   private resumeAt: Control | undefined;
   private resumeOf: KeepingState | undefined; // what the page had said by then
@@ -111,6 +113,7 @@ export class LiveSource implements SceneSource {
     const now = nowUs();
     const kept = (this.scene?.keeps(state.frame) ?? false) && state.keeps !== false;
     if (state.action === "seek" && !kept) this.forget(state.frame);
+    else if (state.action === "seek" && this.scene) this.scene.shownFrame = state.frame;
     this.playState = state;
     this.session.control(controlOf(state, kept), now);
     this.wake();
@@ -175,6 +178,7 @@ export class LiveSource implements SceneSource {
     const now = nowUs();
     this.connection += 1;
     for (; this.restartsDue > 0; this.restartsDue--) this.listen({ type: "flushed" });
+    this.forgotten = undefined;
     this.resumeAt = this.stateOfPlay(now);
     this.resumeOf = this.playState;
     const hello = this.hello(this.resumeAt?.frame ?? this.playState?.frame ?? this.options.startFrame ?? 0);
@@ -309,7 +313,11 @@ export class LiveSource implements SceneSource {
         return this.keep(event);
       case "frame_end": return this.keep(event);
       case "mark":
-        if (event.message.restart && this.restartsDue > 0 && --this.restartsDue >= 0) this.listen({ type: "flushed" });
+        if (event.message.restart && this.restartsDue > 0) {
+          this.restartsDue--;
+          this.flushedBy = event;
+          this.listen({ type: "flushed" });
+        }
         return this.keep(event);
       case "notice": return this.listen({ type: "notice", code: event.notice.code, message: event.notice.message });
       case "refused": return this.onRefused(event.refusal);
@@ -337,6 +345,11 @@ export class LiveSource implements SceneSource {
       if (!welcome.resumed) this.queue.add({ type: "restarted", inventory: [] }); // everything comes again
       this.tellRestarted();
     }
+    if (this.forgotten !== undefined && welcome.resumed) { // the Hello spoke of more than is held
+      this.session.control({ type: "control", action: "seek", frame: this.forgotten, at_us: nowUs(), rate: 1, loop: false, keeps: false }, nowUs());
+      this.restartsDue += 1;
+    }
+    this.forgotten = undefined;
     if (this.resumeAt) this.session.control(this.resumeAt, nowUs());
     this.resumeAt = undefined;
     if (this.said !== this.options.intrinsics) this.reshape(this.options.intrinsics); // it changed while this was on its way
@@ -494,7 +507,10 @@ export class LiveSource implements SceneSource {
         scene.end(event.message.frame, event.payload);
         this.listen({ type: "whole", frame: event.message.frame, mark: scene.mark });
       } else if (event.type === "mark") {
-        if (event.message.restart) scene.store.reset(scene.shownFrame);
+        if (event.message.restart) {
+          scene.store.reset(scene.shownFrame);
+          if (event !== this.flushedBy) this.listen({ type: "flushed" }); // the server's own wish
+        }
         this.meter.decodeErrors += scene.marked(this.markedBefore + event.message.number).length;
         this.listen({ type: "mark", mark: scene.mark });
       } else if (event.type === "restarted") {
@@ -526,7 +542,10 @@ export class LiveSource implements SceneSource {
     this.queue.clear();
     this.scene?.reset(frame);
     if (this.session.state === "open") this.restartsDue += 1;
-    else this.listen({ type: "flushed" });
+    else {
+      this.forgotten = frame;
+      this.listen({ type: "flushed" });
+    }
   }
 }
 

@@ -29,6 +29,14 @@ for (const skipped of [19, 8]) {
   });
 }
 
+test("while the clip stands still, references of later frames hold nothing back", () => {
+  const references = new References<null>();
+  references.marked(9);
+  references.add(silent(21, 1, 4), null);
+  assert.equal(basisOf(references, 20), 4);
+  assert.equal(references.basis(undefined, true), 9);
+});
+
 test("in a loop the next references are of the clip's first frames", () => {
   const references = new References<null>();
   references.marked(9);

@@ -7,7 +7,7 @@ from cags_client.playback.jobs import Restarted, Traffic
 from cags_common.geometry import Intrinsics, Pose
 from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol import events as ev
-from cags_protocol.wire.messages import ReferenceFrame, TileLayers
+from cags_protocol.wire.messages import Mark, ReferenceFrame, TileLayers
 
 
 def tile(number: int, from_lod: int = 0, to_lod: int = 1, size: int = 10) -> ev.TileReceived:
@@ -57,6 +57,24 @@ def test_traffic_is_counted_once_and_survives_decoding() -> None:
     assert arrivals.traffic() == Traffic(30, 7)
     assert arrivals.quiet
     assert arrivals.traffic() == Traffic(0, 0)
+
+
+def test_a_mark_alone_is_news_too() -> None:
+    """It may show what has come before."""
+    arrivals = DecodeQueue()
+    arrivals.add(ev.MarkReceived(Mark(1)))
+    assert not arrivals.quiet
+    assert arrivals.traffic() == Traffic(0, 0)
+    assert arrivals.quiet
+
+
+def test_the_beginning_of_a_connection_outlives_a_jump() -> None:
+    arrivals, begins = DecodeQueue(), Restarted()
+    for event in (tile(0), begins, tile(1)):
+        arrivals.add(event)
+    arrivals.clear()
+    assert arrivals.undecoded_bytes == 0
+    assert arrivals.take() == (begins,)
 
 
 def test_what_waits_and_what_is_being_decoded_counts_as_held() -> None:

@@ -78,7 +78,7 @@ class FakePipeline:
     references_received = 0
     opens_tiles = True
 
-    def forget_references(self, until: int | None = None) -> None:
+    def jump(self, frame: int) -> None:
         self.jumps += 1
 
 

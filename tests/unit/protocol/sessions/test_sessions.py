@@ -250,6 +250,18 @@ def test_evictions_reach_the_server():
     assert pair.server_events(ev.Acknowledged)[0].sample.undecoded_bytes == 777
 
 
+def test_what_was_discarded_on_arrival_is_told_of_after_the_arrival():
+    """The other way round a server would believe in what is gone."""
+    pair = Pair().open()
+    pair.queue(tile(0, 0, 10))
+    while not pair.tiles():
+        pair.run(1_000)
+    pair.client.report_evictions((InventoryEntry(0, 0, 0),))
+    pair.run(200_000)
+    kinds = [type(event) for _, event in pair.server_log]
+    assert kinds.index(ev.Delivered) < kinds.index(ev.Evicted)
+
+
 def test_evictions_before_the_welcome_wait_for_it_and_ask_for_no_timer():
     """The time of an acknowledgement that could not be sent was in the past, and the client's loop spun until then."""
     pair = Pair()

@@ -15,7 +15,7 @@ from cags_common.errors import DecodeError
 from cags_common.motion.apply import ABSENT_LOGIT
 from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol.wire.messages import FrameEnd, TileLayers
-from cags_server.reference.mirror import Mirror
+from cags_server.reference.mirror import Mirror, _Layers
 from cags_server.scene.decoded_tiles import DecodedTiles
 from cags_server.scene.library import SceneLibrary
 from support.closed_loop import KeptScene, assert_same, served
@@ -130,6 +130,16 @@ def test_further_levels_are_built_on_those_that_are_there_to_the_same_bits(libra
     assert_same(built.value.splats, whole.value.splats)  # type: ignore[union-attr]
     assert_same(before.value.splats, other.at((0, 0), 0b001).value.splats)  # type: ignore[union-attr]
     assert one.at((0, 0), 0b111) is built
+
+
+def test_a_client_may_tell_in_any_order_what_it_holds(library: SceneLibrary) -> None:
+    """Motion that comes before its looks waits, and is discarded where much of it does."""
+    mirror = Mirror(library, threads=1)
+    tiles = [InventoryEntry(frame, entry.tile, 1) for frame in (2, 1, 0) for entry in library.entry(frame).tiles]
+    mirror.resume(tiles)
+    told = [(event.frame, event.tile) for _, event in mirror._log if isinstance(event, _Layers)]
+    assert told == sorted((tile.frame, tile.tile) for tile in tiles)
+    assert len(told) == len(tiles)
 
 
 def test_what_is_kept_of_decoded_tiles_is_bounded(library: SceneLibrary) -> None:
