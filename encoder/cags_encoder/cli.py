@@ -14,6 +14,7 @@ from typing import Any
 from cags_common.cli import command_parser, run_command
 from cags_common.errors import BundleError, ConfigError, DecodeError
 from cags_common.settings import add_settings, given_flags, load_settings
+from cags_common.words import counted
 from cags_encoder.settings import CommandSettings
 
 PROG = "cags-encode"
@@ -131,9 +132,10 @@ def _encode(arguments: argparse.Namespace) -> None:
     with _naming(out), BundleReader.open(out) as reader:
         found = summarise(reader, out)
     pruned = found["pruning"]
+    frames, lods = counted(found["frames"], "frame"), counted(found["lods"], "LoD")
     text = (
-        f"{out}: {found['frames']} frames, {found['lods']} LoDs, {found['bytes_tiles'] / 1e3:,.1f} kB of tiles, "
-        f"first frame {found['bytes_first_frame'] / 1e3:,.1f} kB ({found['bytes_a_splat']:.2f} bytes per splat)"
+        f"{out}: {frames}, {lods}, {found['bytes_tiles'] / 1e3:,.1f} kB of tiles, "
+        f"first frame {found['bytes_first_frame'] / 1e3:,.1f} kB ({found['bytes_a_splat']:.2f} bytes a splat)"
     )
     if pruned:
         text += f"; pruned to {pruned['splats_after']} splats, {pruned['psnr_db']:.2f} dB relative to all splats"
@@ -161,7 +163,9 @@ def _verify(url: str, *, as_json: bool) -> None:
         payloads = verify(reader, url, lambda done, total: progress("verify", done, total))
         frames = reader.manifest.frames
     found = {"bundle": url, "whole": True, "frames": frames, "payloads": payloads}
-    _say(found, f"{url}: intact: {frames} frames, {payloads} payloads with valid CRC decoded", as_json=as_json)
+    _say(
+        found, f"{url}: intact: {counted(frames, 'frame')}, {payloads} payloads with valid CRC decoded", as_json=as_json
+    )
 
 
 def _export(url: str, place: str, file: str, *, as_json: bool) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from cags_common.bundle import BundleReader, FrameEntry
 from cags_common.tiles.kinds import TileKind
 from cags_common.tiles.svq import CodebookSet
+from cags_common.words import counted
 from cags_encoder.bundles.parts import byte_parts
 
 Description = dict[str, Any]
@@ -37,7 +38,7 @@ def summarise(reader: BundleReader, url: str) -> Description:
         "bytes_tiles": sum(entry.size_bytes for entry in entries),
         "bytes_first_frame": entries[0].size_bytes,
         "bytes_first_frame_base": sum(tile.lod_bytes[0] for tile in entries[0].tiles),
-        "bytes_a_splat": sum(_bytes([entries[0]], TileKind.LOOKS)) / max(splats, 1),
+        "bytes_a_splat": entries[0].size_bytes / max(splats, 1),
         "bytes_of": {kind.name.lower(): _bytes(entries, kind) for kind in TileKind},
         "bytes_source": sum(files.source.size_bytes for files in manifest.gofs),
         "pruning": asdict(manifest.pruning) if manifest.pruning else None,
@@ -83,14 +84,15 @@ def describe(reader: BundleReader, url: str) -> Description:
 
 def lines(found: Description) -> Iterator[str]:
     """:func:`describe` as text."""
+    frames, groups = counted(found["frames"], "frame"), counted(found["groups"], "group")
     yield (
-        f"{found['out']}: {found['name']!r}, {found['frames']} frames at {found['fps']:g} fps in "
-        f"{found['groups']} groups, SH degree {found['sh_degree']}, codec {found['codec']} {found['quantiser']}"
+        f"{found['out']}: {found['name']!r}, {frames} at {found['fps']:g} fps in {groups}, "
+        f"SH degree {found['sh_degree']}, codec {found['codec']} {found['quantiser']}"
     )
     later = [frame for frame in found["each_frame"] if not frame["key"]]
     yield (
-        f"first frame: {found['splats_first_frame']} splats, {found['bytes_first_frame']} bytes "
-        f"({found['bytes_a_splat']:.2f} per splat); codebooks {found['bytes_codebooks']}; "
+        f"first frame: {counted(found['splats_first_frame'], 'splat')}, {found['bytes_first_frame']} bytes "
+        f"({found['bytes_a_splat']:.2f} a splat); codebooks {found['bytes_codebooks']}; "
         f"tiles {found['bytes_tiles']}; source {found['bytes_source']}"
     )
     if later:
@@ -133,6 +135,7 @@ def _track_lines(tracks: Description) -> Iterator[str]:
 
 
 def _level_lines(found: Description) -> Iterator[str]:
+    yield "bytes of each level, without motion:"
     yield f"{'LoD':>4} {'adds':>16} {'first frame':>12} {'all frames':>12} {'PSNR dB':>8} {'SSIM':>7}"
     ladder = found["quality"]["ladder"] if found["quality"] else []
     for level in found["levels"]:

@@ -55,7 +55,7 @@ def _frames(axis: Axes, frames: list[Any]) -> None:
 
 def _levels(axis: Axes, levels: list[Any]) -> None:
     axis.bar([level["lod"] for level in levels], [level["first_frame_bytes"] / 1e3 for level in levels])
-    axis.set(title="size of each level in the first frame", xlabel="LoD", ylabel="kB")
+    axis.set(title="size of each level in the first frame, without motion", xlabel="LoD", ylabel="kB")
     axis.set_xticks(range(len(levels)), [level["adds"] for level in levels], rotation=90, fontsize=6)
 
 
@@ -72,7 +72,7 @@ def _layers(axis: Axes, layers: list[Any]) -> None:
 def _ladder(axis: Axes, ladder: list[Any]) -> None:
     size = [row["size_bytes"] / 1e6 for row in ladder]
     axis.plot(size, [row["psnr_db"] for row in ladder], marker="o", color="tab:blue")
-    axis.set(title="quality by level", xlabel="first frame, MB", ylabel="PSNR (dB), dots")
+    axis.set(title="quality by level", xlabel="first frame without motion, MB", ylabel="PSNR (dB), dots")
     other = axis.twinx()
     other.plot(size, [row["ssim"] for row in ladder], marker="x", color="tab:orange")
     other.set_ylabel("SSIM, crosses")

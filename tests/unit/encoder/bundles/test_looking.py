@@ -49,6 +49,11 @@ def test_inspect_says_what_is_there(bundle: Path, capsys: pytest.CaptureFixture[
     text = said(capsys, "--inspect", str(bundle))
     assert "3 frames at 30 fps in 2 groups" in text and "codebook" in text and "motion tiles: " in text
     assert text.count("\n") > manifest.lods
+    size = entries[0].size_bytes
+    assert found["bytes_a_splat"] == size / 600
+    assert f"first frame: 600 splats, {size} bytes ({size / 600:.2f} a splat); " in text
+    assert sum(level["first_frame_bytes"] for level in found["levels"]) < size, "motion is there, too"
+    assert "bytes of each level, without motion:" in text
     assert (found["tracks"]["frames"], found["tracks"]["tracks"], found["tracks"]["linked_share"]) == (3, 600, 1.0)
     assert "tracks: 600, seen in 3.0 frames on average; 100.0% of a frame's splats continue" in text
     assert "lifetimes in frames: 2+: 600" in text
