@@ -98,9 +98,9 @@ class StreamStats:
     frames_skipped: int = 0
     """Frames that were due, and not planned because the server was late."""
     frames_in_time: int = 0
-    """Displayed frames whose data the client had at their display."""
+    """Frames whose data the client had when they were due; it may have skipped some of them."""
     frames_late: int = 0
-    """Displayed frames whose data came after their display, or not at all."""
+    """Frames whose data came after they were due, or not at all."""
     stalls: int = 0
     """Runs of late frames."""
     references_late: int = 0

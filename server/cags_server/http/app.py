@@ -21,6 +21,7 @@ from cags_common.transport.accepting import listen_on
 from cags_common.transport.base import ConnectionEndedError
 from cags_common.transport.hosts import named
 from cags_common.transport.websocket import ServerWebSocket
+from cags_common.words import counted
 from cags_protocol import SUBPROTOCOL, ServerSessionSettings, SessionTimers
 from cags_protocol.wire.limits import MAX_CLIENT_MESSAGE_BYTES
 from cags_protocol.wire.messages import Hello, RefusalCode
@@ -326,10 +327,11 @@ class App:
             self._turned_away.write(logging.INFO, peer, "%s: not let in, from %s (%s)", name, peer, why)
             return False
         self._ended.add(stats)
-        shown = status.in_time + status.late
+        due = status.in_time + status.late
         self._told.write(
-            logging.INFO, peer, "%s: left (%s) after %.0f s, %d of %d frames in time, %d stalls, short of %s",
-            name, why, status.seconds, status.in_time, shown, status.stalls, status.short_of,
+            logging.INFO, peer, "%s: left (%s) after %.0f s, data of %d of %s in time, %s, short of %s",
+            name, why, status.seconds, status.in_time, counted(due, "due frame"), counted(status.stalls, "stall"),
+            status.short_of,
         )  # fmt: skip
         return True
 

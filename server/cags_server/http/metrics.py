@@ -44,8 +44,8 @@ class _Sessions(Collector):
         yield CounterMetricFamily("cags_frames_total", "Frames planned.", sums.frames)
         for name, what, total in (
             ("frames_skipped", "Frames that were due and not planned, the server being late.", sums.frames_skipped),
-            ("frames_in_time", "Displayed frames whose data the client had at their display.", sums.frames_in_time),
-            ("frames_late", "Displayed frames whose data came after their display, or not at all.", sums.frames_late),
+            ("frames_in_time", "Frames whose data the client had when they were due.", sums.frames_in_time),
+            ("frames_late", "Frames whose data came after they were due, or not at all.", sums.frames_late),
             ("stalls", "Runs of such frames.", sums.stalls),
             ("references_late", "Reference pictures that came too late, or never.", sums.references_late),
         ):

@@ -40,9 +40,9 @@ class SessionStatus:
     skipped: int
     """Frames that were due, and not planned because the server was late."""
     in_time: int
-    """Displayed frames whose data it had at their display."""
+    """Frames whose data it had when they were due; it may have skipped some of them."""
     late: int
-    """Displayed frames whose data came after their display, or not at all."""
+    """Frames whose data came after they were due, or not at all."""
     stalls: int
     """Runs of late frames."""
     references_late: int
@@ -129,8 +129,8 @@ COLUMNS = {
     "level": "level",
     "frames": "frames planned",
     "skipped": "skipped",
-    "in_time": "in time",
-    "late": "late",
+    "in_time": "data in time",
+    "late": "data late",
     "stalls": "stalls",
     "references_late": "references late",
     "mirror_mb": "mirror, MB",

@@ -1,7 +1,9 @@
-"""Counts the displayed frames whose data had come at their display; acknowledgements of frame ends tell when it came.
+"""Counts the frames whose data the client had when they were due; acknowledgements of frame ends tell when it came.
 
-A frame is counted once its display has passed by the client's own clock, as its poses tell it. What was sent ahead and
-never displayed counts as nothing, and so do the pictures of a pause.
+A frame is counted once it was due by the client's own clock, as its poses tell it, and by the share of frames that it
+says it displays. Whether it displayed it, or skipped it because it was still busy with the one before, is not known
+here. What was sent ahead and never was due counts as nothing, and so do the pictures of a pause and what was due after
+the last pose.
 """
 
 from __future__ import annotations
@@ -53,7 +55,7 @@ class FrameArrivals:
         self._arrived.clear()
 
     def displayed(self, timeline: Timeline, until_us: int, permille: int) -> None:
-        """All frames up to ``until_us`` of the client's clock have been displayed; ``permille`` is its cadence."""
+        """All frames up to ``until_us`` of the client's clock were due; ``permille`` is its cadence."""
         if not timeline.playing:
             return
         end = timeline.first_tick(until_us + 1)

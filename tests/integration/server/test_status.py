@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import logging
+import re
 from typing import Any
 
 import aiohttp
@@ -31,7 +33,8 @@ async def told_of_frames(client: Client, http: aiohttp.ClientSession, server: Te
                 return report
 
 
-async def test_the_page_tells_who_watches_and_why_others_left() -> None:
+async def test_the_page_and_the_log_tell_who_watches_and_why_others_left(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
     async with serving() as (_, server), aiohttp.ClientSession() as http:
         async with http.get(server.make_url("/status")) as answer:
             assert "Nobody watches at the moment" in await answer.text()
@@ -51,6 +54,9 @@ async def test_the_page_tells_who_watches_and_why_others_left() -> None:
     assert 0 < live["level"] <= live["levels"]
     assert (live["ended"], ended["ended"]) == ("", "bye: done")
     assert report["bundle"] == "wall"
+    assert re.search(
+        r"s1: left \(bye: done\) after \d s, data of 0 of 0 due frames in time, 0 stalls, short of", caplog.text
+    )
 
 
 @pytest.mark.parametrize("path", ["/status", "/status.json", "/metrics"])
