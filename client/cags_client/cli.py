@@ -122,6 +122,7 @@ def _body(argv: Sequence[str]) -> int | None:
         raise ConfigError(f"stages_every = {outputs.stages_every} must be at least 1")
     settings = replace(settings, raster=_checked_choices(settings, outputs))
     _check_json(outputs.json)
+    _check_apart(outputs)
     if outputs.view:
         _check_view(outputs)
         _look(settings, outputs, load_settings(ViewSettings, arguments, ClientSettings))
@@ -167,7 +168,7 @@ def _watch(settings: ClientSettings, outputs: _Outputs) -> int | None:
     if truth:
         truth.check(info)
     if settings.start_frame >= info.frames:
-        raise ConfigError(f"start_frame = {settings.start_frame} is outside the clip's {info.frames} frames")
+        raise ConfigError(f"start_frame = {settings.start_frame} is outside 0 to {info.frames - 1}, the clip's frames")
     poses = _walk(outputs.poses, settings, info)
     sinks, spool = _open_sinks(outputs, info)
     completed = False
@@ -338,6 +339,17 @@ def _check_json(path: str | None) -> None:
         raise CagsError(f"{path}: its folder does not exist; make it first")
     if Path(path).is_dir():
         raise ConfigError(f"--json {path}: is a folder; give a file's name, or - for stdout")
+
+
+def _check_apart(outputs: _Outputs) -> None:
+    """Two outputs of one name would replace each other."""
+    of: dict[Path, str] = {}
+    for flag in ("save", "json", "stages"):
+        path = getattr(outputs, flag)
+        if path and (flag, path) != ("json", "-"):
+            other = of.setdefault(Path(path).resolve(), flag)
+            if other != flag:
+                raise ConfigError(f"--{other} and --{flag} both name {path}; give each a name of its own")
 
 
 def _check_pictures(outputs: _Outputs) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import tempfile
 from dataclasses import dataclass
 from fractions import Fraction
@@ -25,10 +24,6 @@ from cags_common.geometry import F32
 
 MP4_CRF = 16
 """x264's constant quality of a saved clip: visually lossless."""
-
-
-PICTURE_NAME = re.compile(r"frame_\d+(_[a-z]+)?\.png")
-"""Names that :class:`PngSink` and :class:`StagesSink` give."""
 
 
 def bytes_of(picture: F32) -> NDArray[np.uint8]:
@@ -104,15 +99,18 @@ def check_save(spec: str) -> None:
         )
     if _is_clip(path) and path.is_dir():
         raise ConfigError(f"--save {spec}: is a folder; give another name for the video")
-    check_picture_folder("--save", path)
+    if not _is_clip(path):
+        check_picture_folder("--save", path)
 
 
 def check_picture_folder(flag: str, folder: Path) -> None:
-    """Raises :class:`ConfigError` where ``folder`` holds anything but pictures of frames: a bundle, say."""
+    """Raises :class:`ConfigError` where ``folder`` is none, or holds anything: a bundle, say, or another play."""
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError(f"{flag} {folder}: is no folder; give the name of a new one")
     found = sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
-    strange = [name for name in found if not name.startswith(".") and PICTURE_NAME.fullmatch(name) is None]
-    if strange:
-        raise ConfigError(f"{flag} {folder}: the folder holds other files ({strange[0]}); give a new or an empty one")
+    seen = [name for name in found if not name.startswith(".")]
+    if seen:
+        raise ConfigError(f"{flag} {folder}: the folder holds other files ({seen[0]}); give a new or an empty one")
 
 
 def _is_clip(path: Path) -> bool:

@@ -55,6 +55,27 @@ def test_a_step_of_pictures_without_their_folder_is_refused(capsys: pytest.Captu
     assert "no server answers" in capsys.readouterr().err
 
 
+def test_a_start_beyond_the_end_is_told_with_what_there_is(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    info = Manifest("t", 30.0, 15, (0,), (1,), 0, ((0, 0, 0), (1, 1, 1)), (), ())
+    monkeypatch.setattr("cags_client.net.endpoints.fetch_info", lambda *_: info)
+    assert cli.main([*NOWHERE, "--start-frame", "15"]) == 2
+    assert capsys.readouterr().err.endswith("start_frame = 15 is outside 0 to 14, the clip's frames\n")
+
+
+@pytest.mark.parametrize(("first", "second"), [("--record", "--json"), ("--json", "--stages"), ("--save", "--stages")])
+def test_two_outputs_of_one_name_are_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, first: str, second: str
+) -> None:
+    """The report replaced the film of the same play."""
+    name = "clip.mp4" if "--json" in (first, second) else "pictures"
+    (tmp_path / "link").symlink_to(tmp_path)
+    assert cli.main([*NOWHERE, first, str(tmp_path / name), second, str(tmp_path / "link" / name)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f" and {second} both name {tmp_path / 'link' / name}; give each a name of its own" in line
+
+
 @pytest.mark.parametrize(("seconds", "frames"), [(0.001, 1), (0.01, 1), (0.3, 9), (0.34, 10), (60.0, 25), (None, 25)])
 def test_frames_of_a_play_are_counted_as_the_player_does(seconds: float | None, frames: int) -> None:
     """``--duration 0.01`` shows one frame, and said that it was one of none."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from cags_common.errors import OutputError
-from cags_common.files import whole_file, write_whole
+from cags_common.files import whole_file, writable_folder, write_whole
 
 
 def test_nothing_is_seen_of_a_file_until_it_is_whole(tmp_path):
@@ -86,3 +86,10 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path, place):
     with pytest.raises(OutputError, match=r"cannot be written .*choose another place"):
         write_whole(tmp_path / place, b"report")
     assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+def test_a_file_is_no_folder_to_write_in(tmp_path):
+    (tmp_path / "report").touch()
+    with pytest.raises(OutputError, match="report: is no folder; choose another place"):
+        writable_folder(tmp_path / "report")
+    assert writable_folder(tmp_path / "new" / "deeper").is_dir()

@@ -11,7 +11,15 @@ import cv2
 import numpy as np
 import pytest
 
-from cags_client.output.files import PictureSpool, StagesSink, bytes_of, check_save, open_save, stage_path
+from cags_client.output.files import (
+    PictureSpool,
+    StagesSink,
+    bytes_of,
+    check_picture_folder,
+    check_save,
+    open_save,
+    stage_path,
+)
 from cags_client.output.spool import ScoringSpool
 from cags_common.errors import ConfigError, OutputError
 from cags_common.geometry import F32, Camera, Intrinsics, Pose
@@ -64,15 +72,24 @@ def test_stages_of_a_play_that_failed_are_left_out(tmp_path: Path) -> None:
 
 
 def test_pictures_go_only_where_nothing_else_lies(tmp_path: Path) -> None:
-    bundle, old = tmp_path / "room.cags", tmp_path / "old.frames"
-    for folder, name in ((bundle, "manifest.json"), (old, "frame_00012.png"), (old, "frame_0030_restored.png")):
-        folder.mkdir(exist_ok=True)
+    """A play that began at another frame would leave pictures of the one before among its own."""
+    bundle, old, stages, empty = (tmp_path / name for name in ("room.cags", "old.frames", "stages", "empty"))
+    named = {bundle: "manifest.json", old: "frame_00012.png", stages: "frame_0030_restored.png", empty: ".hidden"}
+    for folder, name in named.items():
+        folder.mkdir()
         (folder / name).touch()
-    (old / ".hidden").touch()
-    for fine in (old, tmp_path / "new", f"{tmp_path}/new.1/", tmp_path / "clip.mp4", tmp_path / "clip.MP4"):
+    for fine in (empty, tmp_path / "new", f"{tmp_path}/new.1/", tmp_path / "clip.mp4", tmp_path / "clip.MP4"):
         check_save(str(fine))
     with pytest.raises(ConfigError, match=r"room\.cags: the folder holds other files \(manifest\.json\)"):
         check_save(str(bundle))
+    with pytest.raises(ConfigError, match=r"old\.frames: the folder holds other files \(frame_00012\.png\)"):
+        check_save(str(old))
+    with pytest.raises(ConfigError, match=r"--stages .*stages: the folder holds other files \(frame_0030_restored"):
+        check_picture_folder("--stages", stages)
+    (tmp_path / "file").touch()
+    for thing in (tmp_path / "file", Path("/dev/full")):
+        with pytest.raises(ConfigError, match="is no folder; give the name of a new one"):
+            check_save(str(thing))
     with pytest.raises(ConfigError, match=r"x\.mkv: \.mkv is no format to save in"):
         check_save("x.mkv")
     (tmp_path / "folder.mp4").mkdir()
