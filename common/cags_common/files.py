@@ -60,7 +60,7 @@ def write_whole(path: Path, data: bytes) -> None:
 def writable_folder(path: Path) -> Path:
     """Create the folder if necessary and return it. Raises :class:`OutputError` if files cannot be written in it."""
     if path.exists() and not path.is_dir():
-        raise OutputError(f"{path}: is no folder; choose another place")
+        raise OutputError(f"{path}: cannot be written (it is no folder); choose another place")
     probe = path / ".cags-probe"
     try:
         path.mkdir(parents=True, exist_ok=True)

@@ -90,6 +90,6 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path, place):
 
 def test_a_file_is_no_folder_to_write_in(tmp_path):
     (tmp_path / "report").touch()
-    with pytest.raises(OutputError, match="report: is no folder; choose another place"):
+    with pytest.raises(OutputError, match=r"report: cannot be written \(it is no folder\); choose another place"):
         writable_folder(tmp_path / "report")
     assert writable_folder(tmp_path / "new" / "deeper").is_dir()
