@@ -77,7 +77,7 @@ def summary(records: list[dict[str, Any]], stats: PlayStats) -> dict[str, Any]:
         "bytes_reference": stats.bytes_reference,
         "goodput_mbps": received * 8 / seconds / 1e6 if seconds > 0 else 0.0,
         **means,
-        **steadiness(records),
+        **steadiness(records, stats.started_us),
         "effects": tally(map(_effects, records)),
         "restorers": dict(Counter(str(record["restorer"]) for record in records)),
         "latency_p95_ms": float(np.percentile(latencies, 95)) if latencies else None,

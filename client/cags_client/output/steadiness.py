@@ -25,16 +25,20 @@ LEVEL_STEP = 0.5
 """Smallest change of the mean quality level in view from one picture to the next that counts as a switch."""
 
 
-def steadiness(records: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+def steadiness(records: Sequence[Mapping[str, Any]], started_us: int | None = None) -> dict[str, float]:
     """Figures of one play. ``records`` has one entry per displayed media frame, in order (:func:`.report.frame_stats`).
+    ``started_us`` is when the first frame was due: frames skipped before the first picture are a gap, too. The last one
+    of a play is never skipped.
 
     Frames a second, share of even gaps, 95th percentile of gaps [ms], number and duration of freezes [ms], switches of
     the quality level and those of them that are falls, and for each measured PSNR its 5th percentile and the 95th
-    percentile of its steps [dB]. Empty for fewer than two frames.
+    percentile of its steps [dB]. Empty where there is no gap.
     """
-    if len(records) < 2:
+    shown_ms = [record["time_us"] / 1e3 + record["latency_ms"] for record in records]
+    if records and started_us is not None and records[0]["time_us"] > started_us:
+        shown_ms.insert(0, started_us / 1e3)  # the held first frame is on the display until then
+    if len(shown_ms) < 2:
         return {}
-    shown_ms = np.array([record["time_us"] / 1e3 + record["latency_ms"] for record in records])
     gaps_ms = np.diff(shown_ms)
     mean_ms = float(gaps_ms.mean())
     frozen = gaps_ms >= max(FREEZE_FACTOR * mean_ms, mean_ms + FREEZE_EXTRA_MS)

@@ -81,7 +81,7 @@ def _times(summary: Mapping[str, Any]) -> list[Row]:
 def _trouble(summary: Mapping[str, Any]) -> list[Row]:
     """What hardly ever is, and is told of only then."""
     rows = _shortages(summary)
-    if summary["reconnects"]:
+    if summary["reconnects"] or summary["away_ms"]:
         away = f"times: {summary['reconnects']}; {summary['away_ms'] / 1e3:.1f} s without a server"
         rows.append(("reconnected", away))
     if summary["decode_errors"]:

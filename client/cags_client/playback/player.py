@@ -146,9 +146,10 @@ class Player:
     def handle_timer(self, now_us: int) -> None:
         """Send what is due: keep-alive, acknowledgements, poses."""
         if self.stats.started_us is None and now_us - self._made_us > self.settings.join_timeout * 1e6:
-            self._fail(NetworkError(f"no first frame within {self.settings.join_timeout:g} s; is the link too slow?"))
+            why = f"no first frame within {self.settings.join_timeout:g} s; is the link too slow?"
+            self._fail(NetworkError(why), now_us)
         if self._reconnect.expired(now_us):
-            self._fail(self._why_away)
+            self._fail(self._why_away, now_us)
         self._play_if_due(now_us)
         self._session.handle_timer(now_us=now_us)
         if samples := self._viewpoint.due(now_us):
@@ -287,7 +288,7 @@ class Player:
             case ev.Refused(refusal):
                 self._why_away = refused(refusal)
                 if refusal.code in FATAL_REFUSALS:
-                    self._fail(self._why_away)
+                    self._fail(self._why_away, now_us)
             case ev.Closed(code, reason):
                 self._on_closed(code, reason, now_us)
 
@@ -312,7 +313,7 @@ class Player:
         elif code != "refused":
             self._why_away = NetworkError(f"the session ended early ({code}: {reason})")
         if code in FATAL_ENDS:
-            self._fail(self._why_away)
+            self._fail(self._why_away, now_us)
             return
         if not self._reconnect.away:
             self._lost_us = now_us
@@ -328,7 +329,7 @@ class Player:
 
     def _on_welcome(self, welcome: Welcome, now_us: int) -> None:
         if self.pipeline is not None and self._welcome is not None and welcome.info != self._welcome.info:
-            self._fail(NetworkError("the server streams another scene now; start the client again"))
+            self._fail(NetworkError("the server streams another scene now; start the client again"), now_us)
             return
         taken_up = self._reconnect.away and self._welcome is not None
         self._reconnect.restored(now_us)
@@ -405,6 +406,7 @@ class Player:
         while self._session.next_event() is not None:
             pass  # its end is known, and what came last comes again
         self.rejoining = True
+        self._lost_us = now_us
         self._reconnect.lost(now_us)
 
     def _state_of_play(self, now_us: int) -> Control | None:
@@ -531,9 +533,18 @@ class Player:
         self._session.request_keyframe(last_seq, now_us=now_us)
 
     def _finish(self, now_us: int) -> None:
+        self._count_away(now_us)
         self.finished = True
         self._session.bye(now_us=now_us)
 
-    def _fail(self, error: CagsError) -> None:
+    def _fail(self, error: CagsError, now_us: int | None = None) -> None:
+        """End with an error; ``now_us`` where the connection may be away."""
+        if now_us is not None:
+            self._count_away(now_us)
         self.finished = True
         self.error = self.error or error
+
+    def _count_away(self, now_us: int) -> None:
+        """The play ends, with or without a session."""
+        if self.away and self._welcome is not None and not self.rejoining and not self.finished:
+            self.stats.away_us += now_us - self._lost_us

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from cags_client.output.report import frame_stats
+from cags_client.output.report import frame_stats, summary
 from cags_client.playback.jobs import Present, Traffic
+from cags_client.stats import PlayStats
 from cags_common.bundle import BundleReader
 from cags_common.geometry import Pose
 from cags_encoder import EncodeSettings, encode
@@ -43,3 +44,12 @@ def test_a_reference_of_an_earlier_frame_tells_nothing_of_the_prediction(reader:
     assert later["reference_frame"] == 0
     assert "prediction_error_m" not in later
     assert "prediction_error_deg" not in later
+
+
+def test_a_summary_counts_from_when_the_first_frame_was_due(reader: BundleReader) -> None:
+    stage, pose = Stage(reader), walk(reader)
+    stage.send(0)
+    shown = stage.show(0, pose)
+    record = frame_stats(shown, Present(0, 500_000, pose, stage.pipe, Traffic()), 520_000)
+    assert summary([record], PlayStats(frames=1, dropped=14, started_us=100_000))["gap_p95_ms"] == 420
+    assert "gap_p95_ms" not in summary([record], PlayStats(frames=1, started_us=500_000))

@@ -44,6 +44,17 @@ def test_skipped_frames_are_gaps_and_many_of_them_a_freeze() -> None:
     assert frozen["frozen_ms"] == pytest.approx(11 * FRAME_US / 1e3)
 
 
+def test_frames_skipped_at_the_start_are_a_gap() -> None:
+    """A play that showed two frames of fifteen, the last ones, was said to be steady at 66 frames a second."""
+    last = records([60.0, 10.0], skipped=(*range(12), 13))
+    figures = steadiness(last, 0)
+    assert figures["frames_per_s"] == pytest.approx(2e3 / (14 * FRAME_US / 1e3 + 10))
+    assert (figures["even_share"], figures["gap_p95_ms"] > 400) == (0.5, True)
+    assert steadiness(last[:1], 0)["even_share"] == 0
+    whole = records([20.0] * 30)
+    assert steadiness(whole, 0) == steadiness(whole), "frames that are equally late are even"
+
+
 def test_steps_are_between_pictures_that_follow_each_other() -> None:
     steady = [40.0] * 20
     assert steadiness(records([0.0] * 20, psnr_restored_db=steady))["psnr_restored_step_p95_db"] == 0
@@ -64,4 +75,4 @@ def test_a_fall_of_the_level_is_counted_and_a_rise_is_not() -> None:
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_there_is_nothing_to_tell_of_fewer_than_two_pictures(count: int) -> None:
-    assert steadiness(records([0.0] * count)) == {}
+    assert steadiness(records([0.0] * count)) == steadiness(records([0.0] * count), 0) == {}

@@ -65,6 +65,11 @@ def test_the_picture_is_told_where_the_truth_is_known() -> None:
     assert words(psnr_distorted_db=32.94)["picture"] == "32.9 dB PSNR against the truth"
 
 
+def test_time_without_a_server_is_told_though_it_did_not_come_back() -> None:
+    assert words(reconnects=0, away_ms=5300.0)["reconnected"] == "times: 0; 5.3 s without a server"
+    assert "reconnected" not in words()
+
+
 def test_the_prediction_is_told_where_there_was_one() -> None:
     assert words(prediction_error_deg=6.26, prediction_error_m=0.155)["prediction"].startswith("6.3°, 16 cm ")
 

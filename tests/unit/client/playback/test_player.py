@@ -245,6 +245,18 @@ def test_a_connection_that_does_not_come_back_in_time_ends_the_play() -> None:
     client.handle_timer(1_500_000)
     assert client.finished
     assert "the connection was lost (reset)" in str(client.error)
+    assert (client.stats.reconnects, client.stats.away_us) == (0, 1_500_000)
+    client.handle_timer(2_000_000)
+    client.leave(2_000_000)
+    assert client.stats.away_us == 1_500_000, "counted once"
+
+
+def test_a_viewer_who_leaves_while_the_connection_is_away_was_away_until_then() -> None:
+    client = player()
+    joined(client)
+    client.lost("reset", 400_000)
+    client.leave(1_000_000)
+    assert client.stats.away_us == 600_000
 
 
 def test_before_the_welcome_a_lost_connection_is_the_end() -> None:
