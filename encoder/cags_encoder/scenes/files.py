@@ -15,7 +15,7 @@ from cags_encoder.formats import Format, read_splats
 from cags_encoder.formats.registry import META
 from cags_encoder.scenes.dynamic3d import Dynamic3dScene
 from cags_encoder.scenes.file_options import FileOptions, up_of
-from cags_encoder.scenes.folders import frame_of_folder, numbered_frames
+from cags_encoder.scenes.folders import frame_of_folder, numbered_frames, warn_of_gap
 from cags_encoder.scenes.source import Focus, FrameSource, focus_of
 from cags_encoder.scenes.timed import TimedScene, is_timed
 
@@ -124,7 +124,11 @@ def open_files(path: Path, options: FileOptions) -> FrameSource:
     if path.is_file():
         return FileScene(name.split(".")[0], [path], options)
     single = frame_of_folder(path)
-    return FileScene(name, [single] if single else numbered_frames(path), options)
+    if single:
+        return FileScene(name, [single], options)
+    frames = numbered_frames(path)
+    warn_of_gap(path, frames)
+    return FileScene(name, frames, options)
 
 
 def rows_persist(before: Splats, after: Splats) -> bool:

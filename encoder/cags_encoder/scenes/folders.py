@@ -8,7 +8,9 @@ before the format's suffix.
 
 from __future__ import annotations
 
+import logging
 import re
+from itertools import pairwise
 from pathlib import Path
 
 from cags_common.errors import SceneError
@@ -16,6 +18,8 @@ from cags_encoder.formats.registry import FORMATS, META, SUFFIXES
 from cags_encoder.scenes.source import MAX_FRAMES
 
 TRAINED = "point_cloud.ply"
+
+_log = logging.getLogger(__name__)
 
 _ENDINGS = sorted((entry.suffix for entry in FORMATS.values()), key=len, reverse=True)
 """Suffixes of single-file formats, those before others that they end with."""
@@ -50,6 +54,34 @@ def numbered_frames(folder: Path) -> list[Path]:
     if unnumbered and len(found) > 1:
         raise SceneError(f"{folder}: {unnumbered[0]} has no frame number; name one file, or number the sequence")
     return [frame for _, frame in found]
+
+
+def warn_of_gap(folder: Path, frames: list[Path]) -> None:
+    """Log where numbers are missing between the :func:`numbered_frames` of ``folder``."""
+    if gap := _gap([folder / frame.relative_to(folder).parts[0] for frame in frames]):
+        _log.warning("%s: %s; the clip goes on without, and what follows comes earlier", folder, gap)
+
+
+def _gap(entries: list[Path]) -> str:
+    """The numbers that are missing between frames, in words; empty if none are. Clips of every second or tenth frame
+    have steps, and names that differ in more than a number, or in a time, tell of no gap.
+    """
+    names = [re.split(r"([0-9]+)", _stem(entry)) for entry in entries]
+    varying = [k for k, parts in enumerate(zip(*names, strict=False)) if len(set(parts)) > 1]
+    if len({len(parts) for parts in names}) > 1 or len(varying) != 1 or varying[0] % 2 == 0:
+        return ""
+    numbers = [int(parts[varying[0]]) for parts in names]
+    steps = [after - before for before, after in pairwise(numbers)]
+    step = min(steps)
+    if step <= 0 or any(each % step for each in steps):
+        return ""
+    missing = sum(each // step - 1 for each in steps)
+    if not missing:
+        return ""
+    k = next(k for k, each in enumerate(steps) if each > step)
+    of = "frame" if missing == 1 else f"{missing} frames are missing, the first of them"
+    verb = "is missing " if missing == 1 else ""
+    return f"{of} {numbers[k] + step} {verb}between {entries[k].name} and {entries[k + 1].name}"
 
 
 def _frame(entry: Path) -> Path | None:

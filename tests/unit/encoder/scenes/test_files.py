@@ -46,6 +46,38 @@ def test_numbers_sort_as_numbers(tmp_path: Path) -> None:
     assert [round(float(scene.frame(i).means[0, 0] - scene.frame(0).means[0, 0])) for i in (1, 2, 10)] == [1, 2, 10]
 
 
+@pytest.mark.parametrize(
+    ("numbers", "words"),
+    [
+        ((0, 1, 3), "frame 2 is missing between f0001.ply and f0003.ply"),
+        ((0, 10, 40, 50, 70), "3 frames are missing, the first of them 20 between f0010.ply and f0040.ply"),
+        ((7, 8, 9), ""),
+        ((0, 10, 20), ""),
+        ((3, 9), ""),
+        ((1000, 1033, 1066, 1100), ""),
+        ((5,), ""),
+    ],
+)
+def test_numbers_that_are_missing_are_told(
+    numbers: tuple[int, ...], words: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The clip was a frame shorter, and jumped there."""
+    for number in numbers:
+        write_splats(tmp_path / f"f{number:04d}.ply", random_splats(20))
+    open_scene(str(tmp_path))
+    told = [f"{tmp_path}: {words}; the clip goes on without, and what follows comes earlier"] if words else []
+    assert [record.getMessage() for record in caplog.records] == told
+
+
+def test_names_that_differ_in_more_than_a_number_tell_of_no_gap(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    for name in ("a1.ply", "b2.ply", "b4.ply", "c1.2.ply"):
+        write_splats(tmp_path / name, random_splats(20))
+    open_scene(str(tmp_path))
+    assert not caplog.records
+
+
 def test_frames_beyond_the_end_play_again(tmp_path: Path) -> None:
     save(tmp_path, [moved(random_splats(), i) for i in range(3)])
     scene = open_scene(f"{tmp_path}:frames=5")
