@@ -321,7 +321,7 @@ class _Encoding:
             still_psnr_db=self._still,
             outdated_db=clip.outdated_db,
             codec=self._settings.codec,
-            quantiser=self._settings.quantiser,
+            quantiser=self._settings.quantiser if self._settings.codec == "svq" else "",
             up=_vector(np.asarray(source.up)),
             focus_centre=_vector(np.asarray(focus.centre)),
             focus_radius=float(focus.radius),

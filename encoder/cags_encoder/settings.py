@@ -25,7 +25,7 @@ class EncodeSettings:
         300, "frames per group; clients join and seek at group starts, which send all splats again", low=1
     )
     codec: str = setting("svq", "codec of tiles: svq, or one of the baselines density and video")
-    quantiser: str = setting("layered", "configuration of the svq quantiser", choices=QUANTISERS)
+    quantiser: str = setting(QUANTISERS[0], "configuration of the svq quantiser", choices=QUANTISERS)
     lod_order: str = setting(
         "measured",
         "order of the quality layers: measured (on renders of the first frame; needs the kernels), paper (scale, "
@@ -82,6 +82,10 @@ class EncodeSettings:
 
     def __post_init__(self) -> None:
         check_settings(self)
+        if self.codec != "svq" and self.quantiser != QUANTISERS[0]:
+            raise ConfigError(
+                f"quantiser = {self.quantiser!r} is of the codec svq, and codec = {self.codec!r}: leave one of them out"
+            )
         if self.prune and self.prune_psnr_db is not None:
             raise ConfigError(f"prune = {self.prune} and prune_psnr_db = {self.prune_psnr_db}: give one of them")
 

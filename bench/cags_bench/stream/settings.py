@@ -46,10 +46,11 @@ class StreamSettings:
         low=0,
         high=1_000_000,
     )
-    seeds: int = setting(
-        0,
-        f"number of plays, each with another walk and part of the trace; 0: one, or {COMPARED_SEEDS} with --compare",
-        low=0,
+    seeds: int | None = setting(
+        None,
+        f"number of plays, each with another walk and part of the trace; default: one, or {COMPARED_SEEDS} with "
+        "--compare",
+        low=1,
         high=1000,
     )
     compare: str = setting("", "NAME=A,B: compare two values of a setting over the same seeds")

@@ -87,7 +87,7 @@ def lines(found: Description) -> Iterator[str]:
     frames, groups = counted(found["frames"], "frame"), counted(found["groups"], "group")
     yield (
         f"{found['out']}: {found['name']!r}, {frames} at {found['fps']:g} fps in {groups}, "
-        f"SH degree {found['sh_degree']}, codec {found['codec']} {found['quantiser']}"
+        f"SH degree {found['sh_degree']}, codec {' '.join(filter(None, (found['codec'], found['quantiser'])))}"
     )
     later = [frame for frame in found["each_frame"] if not frame["key"]]
     yield (

@@ -53,6 +53,14 @@ def test_a_wrong_setting_destroys_nothing(
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
 
 
+def test_a_quantiser_for_a_codec_that_has_none_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    """It changed nothing, and --inspect named it beside the codec."""
+    said = refused(capsys, 2, "procedural:size=500", "a.cags", "--codec", "density", "--quantiser", "paper-66")
+    assert said == (
+        "cags-encode: quantiser = 'paper-66' is of the codec svq, and codec = 'density': leave one of them out"
+    )
+
+
 def test_damaged_bundles_are_named(bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     codebooks = bundle / "codebooks.bin"
     codebooks.write_bytes(codebooks.read_bytes()[:-9])

@@ -126,6 +126,7 @@ def test_unknown_names_are_refused_before_anything_is_encoded(name: str, value: 
         ({"strip": 3}, "strip = 3 needs a folder; give --out FOLDER"),
         ({"record": "film.avi"}, r"record = 'film\.avi' must end in \.mp4"),
         ({"record_truth": True}, "record_truth = True needs a film"),
+        ({"seeds": 0}, r"seeds = 0 must lie in \[1, 1000\]"),
         ({"video_metrics": "psnr"}, "video_metrics: 'psnr' is unknown"),
     ],
 )

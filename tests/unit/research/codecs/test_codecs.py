@@ -14,6 +14,7 @@ from cags_common.splats import Ids, Splats
 from cags_common.tiles.attributes import split_attributes
 from cags_common.tiles.morton import morton_order
 from cags_encoder import EncodeSettings, encode
+from cags_encoder.bundles.describe import describe, lines
 from cags_encoder.scenes import open_scene
 from cags_research.codecs.density import DensityTileCodec
 from cags_research.codecs.encoding.density import SHARES, DensityCodec, levels_of
@@ -170,7 +171,9 @@ def test_damaged_ranges_are_refused(data: bytes) -> None:
 def test_a_bundle_of_baseline_tiles_plays(name: str, tmp_path: Path) -> None:
     scene = open_scene("procedural:size=900,frames=4")
     manifest = encode(scene, EncodeSettings(codec=name), str(tmp_path / "b"))
-    assert manifest.codec == name
+    assert (manifest.codec, manifest.quantiser) == (name, "")
+    with BundleReader.open(str(tmp_path / "b")) as described:
+        assert next(lines(describe(described, "b"))).endswith(f", codec {name}")
     reader = BundleReader.open(str(tmp_path / "b"))
     for index in (0, 3):
         frame = BundlePlayer(reader).frame(index)
