@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import errno
 import logging
+import os
 import socket
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -212,7 +213,12 @@ class ShaperProxy:
             writer.close()
 
     async def _connect(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        upstream = await _dial(*self._target)
+        try:
+            upstream = await _dial(*self._target)
+        except OSError as error:
+            told = "%s:%d: no server answers (%s); start cags-server there, or give its address by --to"
+            self._told.write(logging.WARNING, "target", told, *self._target, _reason(error))
+            return
         up_reader, up_writer = await asyncio.open_connection(sock=upstream, limit=READ_BYTES)
         for side in (writer, up_writer):
             side.transport.set_write_buffer_limits(high=WRITE_BACKLOG_BYTES)
@@ -245,6 +251,13 @@ def bound_socket(flag: str, host: str, port: int) -> socket.socket:
         reason = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be used ({error.strerror})"
         raise NetworkError(f"--{flag} {host}:{port} {reason}; give another port, or 0 for a free one") from error
     return bound
+
+
+def _reason(error: OSError) -> str:
+    """In the system's words: asyncio's repeat the address."""
+    if error.errno is not None and error.errno > 0:  # that of a name that is not found is negative
+        return os.strerror(error.errno)
+    return error.strerror or str(error)
 
 
 async def _dial(host: str, port: int) -> socket.socket:

@@ -149,8 +149,9 @@ def _info(url: str, token: str, tls: ssl.SSLContext | None) -> Manifest:
     except ssl.SSLError as error:
         raise NetworkError(f"{url}: {websocket.tls_fault(error)}") from error
     except http.client.RemoteDisconnected as error:
-        hint = "" if parts.scheme == "wss" else "; if it has a certificate, write wss://"
-        raise NetworkError(f"{url}: the server hangs up without an answer{hint}") from error
+        hint = "" if parts.scheme == "wss" else "write wss:// if it has a certificate, and "
+        why = f"the server hangs up without an answer; {hint}start the server behind it if it is a shaper or a proxy"
+        raise NetworkError(f"{url}: {why}") from error
     except (OSError, http.client.HTTPException) as error:
         reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise NetworkError(f"{url}: no server answers ({reason}); start cags-server or check the address") from error

@@ -91,13 +91,16 @@ async def test_a_slow_link_holds_the_sender_back():
     assert sent < 8_000_000
 
 
-async def test_a_target_that_is_gone_closes_the_connection():
+async def test_a_target_that_is_gone_closes_the_connection_and_is_told(caplog):
     proxy = ShaperProxy(("127.0.0.1", 1), Link(None), Link(None))
     address = await proxy.start("127.0.0.1", 0, clock)
     reader, writer = await asyncio.open_connection(*address)
     assert await reader.read() == b""
     writer.close()
     await proxy.close()
+    assert [record.getMessage() for record in caplog.records] == [
+        "127.0.0.1:1: no server answers (Connection refused); start cags-server there, or give its address by --to"
+    ]
 
 
 async def test_a_port_in_use_is_one_clear_line():

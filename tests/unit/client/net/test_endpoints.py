@@ -128,6 +128,22 @@ def test_a_server_that_answers_a_byte_at_a_time_is_given_up(
     assert time.monotonic() - began < 10
 
 
+def test_a_shaper_without_a_server_hangs_up_and_what_to_do_is_told() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def hang_up() -> None:
+            sock, _ = listener.accept()
+            with sock:
+                sock.recv(4096)
+
+        thread = threading.Thread(target=hang_up)
+        thread.start()
+        told = r"; write wss:// if it has a certificate, and start the server behind it if it is a shaper or a proxy"
+        with pytest.raises(NetworkError, match=f"the server hangs up without an answer{told}"):
+            endpoints.fetch_info(f"ws://127.0.0.1:{listener.getsockname()[1]}/stream")
+        thread.join()
+
+
 def test_a_refusal_of_lists_in_lists_in_lists_is_a_refusal() -> None:
     head = b"HTTP/1.1 404 Not Found\r\nContent-Length: 90000\r\n\r\n" + b"[" * 90_000
     with answering(head, b"") as port, pytest.raises(NetworkError, match="404"):
