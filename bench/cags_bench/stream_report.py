@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -87,8 +87,13 @@ def plot_stream(frames: Sequence[JsonObject], capacity: tuple[Any, Any] | None, 
 def telling_frame(frames: Sequence[dict[str, Any]]) -> int | None:
     """The saved frame with the largest gain from its reference; None if none was saved."""
     saved = [frame for frame in frames if frame["frame"] % STAGES_EVERY == 0]
-    gains = {f["frame"]: f.get("psnr_restored_db", 0.0) - f.get("psnr_distorted_db", 0.0) for f in saved}
-    return max(gains, key=gains.__getitem__, default=None)
+    return max(saved, key=gain_db, default={"frame": None})["frame"]
+
+
+def gain_db(frame: Mapping[str, Any]) -> float:
+    """What the reference gained in a frame; 0 where nothing was corrected or measured."""
+    before, after = frame.get("psnr_distorted_db"), frame.get("psnr_restored_db")
+    return 0.0 if before is None or after is None else after - before
 
 
 def write_strip(stages: Path, frame: int, path: Path) -> bool:

@@ -72,12 +72,23 @@ def _print_summary(summary: dict[str, Any], out: str) -> None:
     rows = [
         ("link", f"{summary['trace']} at {rate}, {summary['delay_ms']:g} ms each way"),
         *summary_rows(summary, summary["clip_frames"]),
-        ("pictures", f"{Path(out) / 'strip.png'}: effect of references on the frame with the largest gain"),
+        ("pictures", _pictures(summary["strip"], Path(out) / "strip.png")),
         ("over time", f"{Path(out) / 'timeline.png'}; every figure: {Path(out) / 'frames.jsonl'}"),
     ]
     for name, value in rows:
         table.add_row(name, escape(value))
     Console(highlight=False).print(table)
+
+
+def _pictures(strip: dict[str, Any] | None, path: Path) -> str:
+    """What the strip shows."""
+    if strip is None:
+        return "none: no frame whose pictures are saved was shown"
+    frame, gain_db = strip["frame"], strip["gain_db"]
+    if gain_db > 0:
+        return f"{path}: effect of references on frame {frame}, the saved one that gains most ({gain_db:.1f} dB)"
+    why = "references improved none of" if gain_db else "nothing had to be corrected in"
+    return f"{path}: frame {frame} beside the truth; {why} the saved frames"
 
 
 if __name__ == "__main__":

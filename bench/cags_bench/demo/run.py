@@ -16,7 +16,15 @@ from cags_bench.demo.settings import DemoSettings
 from cags_bench.doctor.machine import usable_cores
 from cags_bench.inputs import check_walks
 from cags_bench.jsonl import provenance
-from cags_bench.stream_report import STAGES_EVERY, capacity_series, plot_stream, read_lines, telling_frame, write_strip
+from cags_bench.stream_report import (
+    STAGES_EVERY,
+    capacity_series,
+    gain_db,
+    plot_stream,
+    read_lines,
+    telling_frame,
+    write_strip,
+)
 from cags_bench.traces import scaled_trace
 from cags_common.errors import CagsError, NetworkError, OutputError
 from cags_common.files import writable_folder
@@ -202,10 +210,11 @@ def write_report(report: Path, settings: DemoSettings, clip_frames: int) -> dict
     seconds = max((frames[-1]["time_us"] - frames[0]["time_us"]) / 1e6, 0.1) if frames else 0.1
     plot_stream(frames, capacity_series(open_trace(link_trace(settings)), seconds), report / "timeline.png")
     chosen = telling_frame(frames)
-    if chosen is not None:
-        write_strip(report / "stages", chosen, report / "strip.png")
+    strip: dict[str, Any] | None = None
+    if chosen is not None and write_strip(report / "stages", chosen, report / "strip.png"):
+        strip = {"frame": chosen, "gain_db": next(gain_db(frame) for frame in frames if frame["frame"] == chosen)}
     run = {"trace": settings.trace, "share": settings.share, "delay_ms": settings.delay_ms, "clip_frames": clip_frames}
-    merged = {**summary, "benchmark": "demo", **run, **provenance()}
+    merged = {**summary, "benchmark": "demo", **run, "strip": strip, **provenance()}
     (report / "summary.json").write_text(json.dumps(merged, indent=2, sort_keys=True) + "\n", encoding="utf-8")
     return merged
 

@@ -3,9 +3,12 @@
 import errno
 import importlib
 import io
+import json
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from cags_bench.cli import SUBCOMMANDS, main
@@ -95,6 +98,39 @@ def test_the_demo_replaces_the_report_that_it_is_run_in(played, tmp_path, monkey
     monkeypatch.chdir(earlier_report(tmp_path / "report"))
     play(played, ".")
     assert contents(tmp_path / "report") == contents(Path()) == NEW
+
+
+@pytest.mark.parametrize(
+    ("strip", "words"),
+    [
+        ({"frame": 15, "gain_db": 2.34}, ": effect of references on frame 15, the saved one that gains most (2.3 dB)"),
+        ({"frame": 0, "gain_db": 0.0}, ": frame 0 beside the truth; nothing had to be corrected in the saved frames"),
+        ({"frame": 0, "gain_db": -0.1}, ": frame 0 beside the truth; references improved none of the saved frames"),
+        (None, "none: no frame whose pictures are saved was shown"),
+    ],
+)
+def test_the_demo_says_what_its_strip_shows(strip, words):
+    assert demo._pictures(strip, Path("strip.png")) == ("" if strip is None else "strip.png") + words
+
+
+@pytest.mark.parametrize(
+    ("gains_db", "chosen"),
+    [([0.0, 3.0, 1.0], {"frame": 15, "gain_db": 3.0}), ([0.0, 0.0], {"frame": 0, "gain_db": 0.0}), ([], None)],
+)
+def test_the_demo_reports_the_frame_of_its_strip(tmp_path, gains_db, chosen):
+    frames = [  # those of every 15th frame are saved
+        {"frame": frame, "time_us": frame, "psnr_distorted_db": 30.0, "psnr_restored_db": 30.0 + gain_db}
+        | {"lod_mean": 1.0, "bytes_tiles": 1, "bytes_reference": 1}
+        for frame, gain_db in [*zip((0, 15, 30), gains_db, strict=False), (31, 5.0)]
+    ]
+    lines = [*frames, {"summary": True}]
+    (tmp_path / "frames.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    (tmp_path / "stages").mkdir()
+    for frame in frames:
+        picture = np.zeros((60, 80, 3), np.uint8)
+        cv2.imwrite(str(tmp_path / "stages" / f"frame_{frame['frame']:04d}_restored.png"), picture)
+    assert run.write_report(tmp_path, DemoSettings(), 30)["strip"] == chosen
+    assert (tmp_path / "strip.png").exists() == (chosen is not None)
 
 
 def test_a_link_to_a_report_stays_a_link(played, tmp_path):
