@@ -33,7 +33,7 @@ class RasterSettings:
     )
     clients: str = setting("1,8,64", "numbers of clients for --table, separated by commas")
     servers: str = setting(
-        "1,4",
+        "1,8",
         "numbers of server processes that share the device, separated by commas, for --table; the clients are divided "
         "among them",
     )

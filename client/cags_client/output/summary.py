@@ -7,6 +7,7 @@ from typing import Any
 
 from cags_client.output.report import STAGE
 from cags_client.output.steadiness import EVEN_MS
+from cags_common.words import counted
 
 Row = tuple[str, str]
 
@@ -82,8 +83,8 @@ def _trouble(summary: Mapping[str, Any]) -> list[Row]:
     """What hardly ever is, and is told of only then."""
     rows = _shortages(summary)
     if summary["reconnects"] or summary["away_ms"]:
-        away = f"times: {summary['reconnects']}; {summary['away_ms'] / 1e3:.1f} s without a server"
-        rows.append(("reconnected", away))
+        taken_up = f"connection taken up again {counted(summary['reconnects'], 'time')}"
+        rows.append(("away", f"{summary['away_ms'] / 1e3:.1f} s without a server; {taken_up}"))
     if summary["decode_errors"]:
         asked = f"payloads that did not decode: {summary['decode_errors']}; key pictures asked for: "
         rows.append(("damaged", asked + str(summary["keyframe_requests"])))

@@ -45,7 +45,7 @@ def test_what_went_wrong_is_told_only_where_it_did() -> None:
         frames_dropped=52, frames_missed=2, reconnects=1, away_ms=1500.0, decode_errors=3, keyframe_requests=2
     )
     assert found["shown"] == "38 of 90 frames; 52 skipped, the next one being due; 2 without all of their data"
-    assert found["reconnected"] == "times: 1; 1.5 s without a server"
+    assert found["away"] == "1.5 s without a server; connection taken up again 1 time"
     assert found["damaged"] == "payloads that did not decode: 3; key pictures asked for: 2"
 
 
@@ -66,8 +66,8 @@ def test_the_picture_is_told_where_the_truth_is_known() -> None:
 
 
 def test_time_without_a_server_is_told_though_it_did_not_come_back() -> None:
-    assert words(reconnects=0, away_ms=5300.0)["reconnected"] == "times: 0; 5.3 s without a server"
-    assert "reconnected" not in words()
+    assert words(reconnects=0, away_ms=5300.0)["away"] == "5.3 s without a server; connection taken up again 0 times"
+    assert "away" not in words()
 
 
 def test_the_prediction_is_told_where_there_was_one() -> None:
