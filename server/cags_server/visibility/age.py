@@ -7,6 +7,7 @@ longest are worth most. Judged by the current frame alone, the same tiles would 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,18 @@ from cags_server.scene.library import SceneLibrary
 from cags_server.visibility.inventory import ClientInventory
 
 
+@dataclass(eq=False)
+class _Versions:
+    """Of a group of frames: the number of the tile that brings each splat's looks, -1 for none."""
+
+    arrived: NDArray[np.int32]  # [capacity]
+    sent: NDArray[np.int32]  # [capacity] those on their way, too
+
+
 class VersionAge:
-    """Looks of each splat that one client holds or is being sent, for one group of frames."""
+    """Looks of each splat that one client holds or is being sent, for the group of frames that was entered last and the
+    one before it, which may still be on display.
+    """
 
     def __init__(self, library: SceneLibrary) -> None:
         self._library = library
@@ -25,9 +36,9 @@ class VersionAge:
 
     def clear(self) -> None:
         """The client holds nothing."""
-        self._gof = -1
+        self._entered = -1
+        self._groups: dict[int, _Versions] = {}
         self._claimed: tuple[tuple[int, int], ...] = ()
-        self._arrived = self._sent = np.zeros(0, np.int32)  # [capacity] number of the tile; -1 for none
 
     def held(self, tiles: Iterable[tuple[int, int]]) -> None:
         """Take the inventory (media frame, tile) that the client holds from an earlier session.
@@ -42,9 +53,10 @@ class VersionAge:
         By tile numbers within the group of ``frame``; -1: it shows none. A new tile may bring, with what is seen of it,
         splats that have been replaced since.
         """
-        if not self._enters(frame):
+        versions = self._of(frame)
+        if versions is None:
             return np.full(self._library.manifest.capacity[self._library.manifest.gof_of(frame)], -1, np.int32)
-        shown = self._sent.copy()
+        shown = versions.sent.copy()
         for key in more:
             ids = self._library.tile_ids(*key)
             shown[ids] = np.maximum(shown[ids], self._number(*key))
@@ -52,27 +64,28 @@ class VersionAge:
 
     def sent(self, frame: int, tile: int) -> None:
         """The looks of a tile's splats were queued; other kinds of tiles change no version."""
-        if self._is_looks(frame, tile) and self._enters(frame):
+        if self._is_looks(frame, tile) and (versions := self._of(frame)) is not None:
             ids = self._library.tile_ids(frame, tile)
-            self._sent[ids] = np.maximum(self._sent[ids], self._number(frame, tile))
+            versions.sent[ids] = np.maximum(versions.sent[ids], self._number(frame, tile))
 
     def settled(self, frame: int, tile: int, *, delivered: bool) -> None:
         """They have arrived, or will not arrive."""
-        if self._library.manifest.gof_of(frame) != self._gof or not self._is_looks(frame, tile):
+        versions = self._groups.get(self._library.manifest.gof_of(frame))
+        if versions is None or not self._is_looks(frame, tile):
             return
-        ids, number = self._library.tile_ids(frame, tile), self._number(frame, tile)
+        ids, number, sent = self._library.tile_ids(frame, tile), self._number(frame, tile), versions.sent
         if delivered:
-            self._arrived[ids] = np.maximum(self._arrived[ids], number)
+            versions.arrived[ids] = np.maximum(versions.arrived[ids], number)
         else:
-            self._sent[ids] = np.where(self._sent[ids] == number, self._arrived[ids], self._sent[ids])
+            sent[ids] = np.where(sent[ids] == number, versions.arrived[ids], sent[ids])
 
     def lost(self, frame: int, tile: int) -> None:
         """The client has discarded a tile and shows nothing of it."""
         manifest = self._library.manifest
-        known = frame < manifest.frames and manifest.gof_of(frame) == self._gof
-        if known and self._library.tile_map(frame).has((frame, tile)):
+        versions = self._groups.get(manifest.gof_of(frame)) if frame < manifest.frames else None
+        if versions is not None and self._library.tile_map(frame).has((frame, tile)):
             number = self._number(frame, tile)
-            for version in (self._arrived, self._sent):
+            for version in (versions.arrived, versions.sent):
                 version[version == number] = -1
 
     def frames(self, at: int, frame: int, tile: int) -> float:
@@ -82,9 +95,10 @@ class VersionAge:
         1 at least: the tile is the next version of what the client holds.
         """
         ids = self._library.tile_ids(frame, tile)
-        if not len(ids) or not self._enters(frame):
+        versions = self._of(frame)
+        if not len(ids) or versions is None:
             return 1.0
-        tiles, shown = self._library.tile_map(frame), self._sent[ids]
+        tiles, shown = self._library.tile_map(frame), versions.sent[ids]
         # What was shown before a group begins is of the frame before it, at best.
         since = np.where(shown >= 0, tiles.frames[shown], tiles.start - 1)
         return max(at - float(since.mean()), 1.0)
@@ -92,9 +106,10 @@ class VersionAge:
     def share_shown(self, frame: int, tile: int) -> float:
         """Share of the splats of a tile of looks that the client shows in some version of this group of frames."""
         ids = self._library.tile_ids(frame, tile)
-        if not len(ids) or not self._enters(frame):
+        versions = self._of(frame)
+        if not len(ids) or versions is None:
             return 1.0
-        return float((self._sent[ids] >= 0).mean())
+        return float((versions.sent[ids] >= 0).mean())
 
     def motion_frames(self, at: int, frame: int, tile: int, inventory: ClientInventory) -> float:
         """Frames for which what a chunk of motion moves will have stood still when frame ``at`` is displayed; 1 at
@@ -117,18 +132,19 @@ class VersionAge:
     def _is_looks(self, frame: int, tile: int) -> bool:
         return self._library.entry(frame).tiles[tile].kind == TileKind.LOOKS
 
-    def _enters(self, frame: int) -> bool:
-        """Begin the group of ``frame`` if it is a later one; returns whether ``frame`` belongs to the current group."""
+    def _of(self, frame: int) -> _Versions | None:
+        """Those of the group of ``frame``, which begins if it is a later one than were entered; None if it is past."""
         manifest = self._library.manifest
-        gof = manifest.gof_of(frame)
-        if gof > self._gof:
-            self._gof = gof
-            self._arrived = np.full(manifest.capacity[gof], -1, np.int32)
-            for key in self._held_of(gof):
+        group = manifest.gof_of(frame)
+        if group > self._entered:
+            self._entered = group
+            self._groups = {number: kept for number, kept in self._groups.items() if number == group - 1}
+            arrived = np.full(manifest.capacity[group], -1, np.int32)
+            for key in self._held_of(group):
                 ids = self._library.tile_ids(*key)
-                self._arrived[ids] = np.maximum(self._arrived[ids], self._number(*key))
-            self._sent = self._arrived.copy()
-        return gof == self._gof
+                arrived[ids] = np.maximum(arrived[ids], self._number(*key))
+            self._groups[group] = _Versions(arrived, arrived.copy())
+        return self._groups.get(group)
 
     def _held_of(self, gof: int) -> list[tuple[int, int]]:
         frames = self._library.manifest.gof_frames(gof)

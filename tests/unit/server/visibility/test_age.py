@@ -49,9 +49,20 @@ def test_a_group_of_frames_begins_with_what_was_shown_before_it() -> None:
     assert age.frames(start + 2, start, tile) == 3.0
     age.settled(*CHANGED, delivered=True)
     assert age.frames(start + 2, start, tile) == 3.0, "ids of another group"
-    assert age.frames(start + 2, *CHANGED) == 1.0, "nothing is known of a group that has passed"
+    assert age.frames(start + 2, *CHANGED) == start + 2 - CHANGED[0], "the group before may still be on display"
     age.clear()
     assert age.frames(CHANGED[0], *CHANGED) == CHANGED[0] + 1
+
+
+def test_a_viewer_may_stand_still_before_a_border_that_the_server_has_crossed() -> None:
+    age, start = VersionAge(library()), library().manifest.gof_starts[1]
+    age.sent(*CHANGED)
+    shown = age.shown_with(CHANGED[0], [])
+    assert (shown >= 0).any()
+    age.sent(start, library().entry(start).tiles[0].tile)
+    np.testing.assert_array_equal(age.shown_with(CHANGED[0], []), shown)
+    age.settled(*CHANGED, delivered=False)
+    assert (age.shown_with(CHANGED[0], []) < 0).all()
 
 
 def test_what_a_client_holds_of_an_earlier_session_has_arrived() -> None:
