@@ -130,7 +130,8 @@ class GofTiles:
     def resumed(self, inventory: Mapping[Key, int] | None) -> GofTiles:
         """A new store with the LoDs of ``inventory`` (None: those of :meth:`held`) and nothing else.
 
-        A new connection begins from it, whatever the previous one has shown; incomplete levels are forgotten.
+        A new connection begins from it, whatever the previous one has shown; incomplete levels are forgotten. What the
+        inventory has and the store has not, as motion that waited for its looks, :meth:`take_dropped` tells of.
         """
         layered, in_motion = self._layered, self._in_motion
         other = GofTiles(
@@ -154,6 +155,11 @@ class GofTiles:
             lods = min(motion.lods, levels[motion.key])
             payloads = [memoryview(motion.payloads[level].data) for level in range(lods)]
             other._errors += other.add([Arrival(*motion.key, 0, payloads)])
+        if inventory is not None:
+            kept = {(tile.frame, tile.tile): tile.lods for tile in other.held()}
+            mine = {key: lods for key, lods in inventory.items() if key[0] in self._frames}
+            lacking = {key: kept.get(key, 0) for key, lods in mine.items() if kept.get(key, 0) < lods}
+            other._dropped += [InventoryEntry(*key, lods) for key, lods in lacking.items()]
         return other
 
     def _hand_over_looks(self, held: StoredLooks, lods: int, other: GofTiles) -> None:

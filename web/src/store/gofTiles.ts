@@ -120,6 +120,11 @@ export class GofTiles {
       const payloads = Array.from({ length: count }, (_, level) => motion.payloads.get(level)!.data);
       other.errors.push(...other.add([{ key: motion.key, fromLod: 0, payloads }]));
     }
+    const [first, end] = this.options.range;
+    for (const [key, lods] of inventory ?? []) { // what the server believes in, as motion that waited for its looks
+      const [frame, have] = [frameOf(key), other.tiles.get(key)?.lods ?? 0];
+      if (first <= frame && frame < end && have < lods) other.dropped.push({ frame, tile: tileOf(key), lods: have });
+    }
     return other;
   }
 

@@ -196,6 +196,15 @@ def test_of_what_is_held_an_inventory_may_say_less(store: TileStore) -> None:
     assert xs(store, 1)[:2] == [5, pytest.approx(7, abs=0.1)]
 
 
+def test_what_a_server_believes_in_that_is_not_held_is_told_of(store: TileStore) -> None:
+    """Motion that waited for its looks is forgotten with the connection; the Hello had spoken of what was queued."""
+    store.add(0, 0, 0, [base([0], 5)])
+    store.add(0, 2, 0, [memoryview(p) for p in motion((0, 1), 1, [0, 1]).payloads])
+    store.restarted([InventoryEntry(0, 0, 1), InventoryEntry(0, 2, 2)])
+    assert store.take_dropped() == [InventoryEntry(0, 2, 0)]
+    assert store.take_dropped() == []
+
+
 @pytest.mark.parametrize(("said", "bits"), [(None, 1), (2, 3)])
 def test_layers_of_a_replaced_tile_go_over_where_the_inventory_says_so(
     store: TileStore, said: int | None, bits: int
