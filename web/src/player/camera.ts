@@ -51,7 +51,7 @@ export class ViewCamera {
     this.#up = unit(scene.up);
     const seed: Vec3 = Math.abs(this.#up[0]) < 0.9 ? [1, 0, 0] : [0, 0, 1];
     this.#front = unit(cross(seed, this.#up)); // where somebody who looks at the scene stands
-    this.#side = cross(this.#front, this.#up);
+    this.#side = cross(this.#up, this.#front); // on their right
     this.#view = scene.view;
     this.#focus = scene.view.target ?? scene.focusCentre;
     const least = Math.max(LEAST_RADIUS, LEAST_SHARE * Math.max(...this.#focus.map(Math.abs)));
@@ -126,12 +126,19 @@ export class ViewCamera {
     return { position: plus(this.#target, axes[2], -this.#distance), rotation: quaternionOf(axes) };
   }
 
-  /** Turn by angles in radians: about the target when orbiting, else on the spot. */
-  turn(yaw: number, pitch: number): void {
-    if (this.mode === "orbit") return this.#orbit(yaw, pitch);
+  /** Look farther to the right and up by angles in radians: on the spot, or from another side of the target when
+   * orbiting, whose front then turns to the right and up. */
+  turn(right: number, up: number): void {
     const eye = this.pose.position;
-    this.#orbit(-yaw, -pitch);
-    this.#target = plus(eye, this.#axes()[2], this.#distance);
+    this.#yaw += right;
+    this.#pitch = clamp(this.#pitch + up, -MAX_PITCH, MAX_PITCH);
+    if (this.mode !== "orbit") this.#target = plus(eye, this.#axes()[2], this.#distance);
+  }
+
+  /** Turn so that what is seen goes to the right and down, as the hand does that has hold of it. */
+  drag(right: number, down: number): void {
+    if (this.mode === "orbit") this.turn(right, -down);
+    else this.turn(-right, down);
   }
 
   /** Move by shares of the target's distance along right, down and forward; walking stays on its level. */
@@ -153,11 +160,6 @@ export class ViewCamera {
   dolly(factor: number): void {
     if (this.mode === "orbit") this.#distance = clamp(this.#distance * factor, 0.02 * this.#radius, 40 * this.#radius);
     else this.move(0, 0, 1 - factor);
-  }
-
-  #orbit(yaw: number, pitch: number): void {
-    this.#yaw += yaw;
-    this.#pitch = clamp(this.#pitch + pitch, -MAX_PITCH, MAX_PITCH);
   }
 
   #axes(): Axes {

@@ -18,11 +18,11 @@ const MOVES: Readonly<Record<string, readonly [number, number, number]>> = {
   KeyW: [0, 0, 1],
   KeyS: [0, 0, -1],
 };
-const TURNS: Readonly<Record<string, readonly [number, number]>> = {
-  ArrowLeft: [1, 0],
-  ArrowRight: [-1, 0],
-  ArrowUp: [0, -1],
-  ArrowDown: [0, 1],
+const TURNS: Readonly<Record<string, readonly [right: number, up: number]>> = {
+  ArrowLeft: [-1, 0],
+  ArrowRight: [1, 0],
+  ArrowUp: [0, 1],
+  ArrowDown: [0, -1],
 };
 const ZOOMS: Readonly<Record<string, number>> = { Equal: 1, NumpadAdd: 1, Minus: -1, NumpadSubtract: -1 };
 
@@ -82,15 +82,15 @@ export class Gestures {
     if (!camera) return;
     const [right, down, forward] = MOVES[code] ?? [0, 0, 0];
     if (code in MOVES) camera.move(right * MOVES_PER_S * seconds, down * MOVES_PER_S * seconds, forward * MOVES_PER_S * seconds);
-    const [yaw, pitch] = TURNS[code] ?? [0, 0];
-    if (code in TURNS) camera.turn(yaw * TURNS_PER_S * seconds, pitch * TURNS_PER_S * seconds);
+    const [across, up] = TURNS[code] ?? [0, 0];
+    if (code in TURNS) camera.turn(across * TURNS_PER_S * seconds, up * TURNS_PER_S * seconds);
     if (code in ZOOMS) camera.dolly(Math.exp(-ZOOMS[code] * seconds * 1.5));
   }
 
   #stick(pad: Gamepad, seconds: number): void {
-    const [x, y, yaw, pitch] = [0, 1, 2, 3].map((i) => (Math.abs(pad.axes[i] ?? 0) < STICK_REST ? 0 : pad.axes[i]));
+    const [x, y, across, down] = [0, 1, 2, 3].map((i) => (Math.abs(pad.axes[i] ?? 0) < STICK_REST ? 0 : pad.axes[i]));
     if (x || y) this.#camera?.move(x * MOVES_PER_S * seconds, 0, -y * MOVES_PER_S * seconds);
-    if (yaw || pitch) this.#camera?.turn(-yaw * TURNS_PER_S * seconds, pitch * TURNS_PER_S * seconds);
+    if (across || down) this.#camera?.turn(across * TURNS_PER_S * seconds, -down * TURNS_PER_S * seconds);
   }
 
   /** Returns how far a pointer went, pixels. */
@@ -105,7 +105,7 @@ export class Gestures {
       const share = 1 / this.#element.clientHeight / this.#pointers.size;
       camera.pan(-dx * share, -dy * share);
       if (spread) camera.dolly(spread / this.#spread());
-    } else camera.turn(dx * TURN_PER_PX, -dy * TURN_PER_PX);
+    } else camera.drag(dx * TURN_PER_PX, dy * TURN_PER_PX);
     return Math.hypot(dx, dy);
   }
 
