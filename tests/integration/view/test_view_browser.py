@@ -247,12 +247,19 @@ def test_a_second_page_watches_the_first_one_and_says_so(page: Any, show: BallSh
         wait(other, lambda: "another page steers" in other.find_element("id", "toast").text)
         assert show.controls.playing
         assert not show.view.poses.held
+        controls = ["play", "time", "loop", "rate", "set-restorer", "set-exactness", "set-resolution", "follow"]
+        unusable = f"return {controls}.filter((id) => !document.getElementById(id).disabled)"
+        assert other.execute_script(unusable) == [], "what it shows stays true"
+        asked(other, "player.seek(55)")
+        assert asked(other, "player.waiting") is False, "its clock goes on with the other's play"
         drag(page, 9, 2)
         wait(page, lambda: show.view.poses.held)
+        assert set(page.execute_script(unusable)) == set(controls)
         steered = asked(page, "camera.pose.position")
         wait(other, lambda: asked(other, "camera.pose.position") == pytest.approx(steered, abs=1e-4))
         page.get("about:blank")
         wait(other, lambda: not watching.is_displayed())
+        assert set(controls) - set(other.execute_script(unusable)) <= {"follow"}
         press(other, " ")
         wait(other, lambda: not show.controls.playing)
         page.back()  # browsers keep a page that was left, and its connection is to be made anew
@@ -375,6 +382,60 @@ def test_a_phone_sees_the_picture_without_scrolling_sideways(show: BallShow, tmp
         assert running.execute_script(inside)
         keep_screenshot(running, "phone-dark")
         assert complaints(running) == []
+
+
+def test_what_a_small_window_shows_lies_above_its_bar(show: BallShow, tmp_path: Path) -> None:
+    boxes = """
+      window.cags.messages.toast('Link copied', 60000);
+      window.cags.messages.say('The server is not there', 'The picture stands on what has come; it goes on by itself.');
+      return Object.fromEntries(['bar', 'inspector', 'toast', 'message'].map(
+        (id) => [id, document.getElementById(id).getBoundingClientRect().toJSON()]))"""
+    reached = """return ['play', 'time', 'inspect', 'toast', 'headline'].filter((id) => {
+      const e = document.getElementById(id), r = e.getBoundingClientRect();
+      e.style.pointerEvents = 'auto';
+      return !e.contains(document.elementFromPoint(r.left + r.width / 2, r.top + r.height / 2)); })"""
+    for width, height in ((320, 568), (360, 640), (375, 667)):
+        with at_rest(show), chromium(tmp_path / str(width), width=width, height=height, phone=True) as running:
+            visit(running, show, "?h264")
+            running.execute_script("document.getElementById('vr').hidden = false")  # as with a headset
+            click(running, "#inspect")
+            time.sleep(0.2)  # until the bar has been measured
+            box = running.execute_script(boxes)
+            assert box["bar"]["height"] < 110, "two rows"
+            assert all(box[name]["bottom"] <= box["bar"]["top"] for name in ("inspector", "toast", "message"))
+            assert box["message"]["bottom"] <= box["toast"]["top"]
+            assert running.execute_script(reached) == []
+            keep_screenshot(running, f"small-{width}")
+            assert complaints(running) == []
+
+
+def test_an_open_inspector_covers_no_token_and_no_way_on(tmp_path: Path) -> None:
+    require_browser()
+    require_built()
+    covered = """return arguments[0].filter((id) => {
+      const e = document.getElementById(id), r = e.getBoundingClientRect();
+      return !r.width || !e.contains(document.elementFromPoint(r.left + r.width / 2, r.top + r.height / 2)); })"""
+    for width, height in ((360, 640), (800, 600)):
+        with (
+            in_a_thread(ViewSettings(view_port=0, view_token="sesame")) as show,
+            chromium(tmp_path / str(width), width=width, height=height, phone=width == 360) as running,
+        ):
+            visit(running, show, "#token=sesame")
+            click(running, "#inspect")
+            assert running.find_element("id", "inspector").is_displayed()
+            running.execute_script("window.cags.failed('The play has ended', 'for a test')")
+            assert running.execute_script(covered, ["headline", "again"]) == []
+            keep_screenshot(running, f"ended-{width}")
+            running.get("about:blank")
+            running.get(show.view.url)
+            wait(running, lambda: "asks for a token" in words(running))
+            assert running.execute_script(covered, ["headline", "token-text"]) == []
+            assert focused(running) == "token-text"
+            press(running, "\ue00c")
+            running.find_element("id", "token-text").send_keys("sesame\n")
+            wait(running, lambda: asked(running, "player.pictures") > 3)
+            assert not running.find_element("id", "inspector").is_displayed(), "Escape has closed it"
+            assert complaints(running) == []
 
 
 def test_the_client_is_told_of_the_window_and_again_when_it_has_another_size(show: BallShow, tmp_path: Path) -> None:

@@ -11,6 +11,8 @@ const TITLES: Readonly<Record<string, string>> = {
 };
 const OVERLAYS: Readonly<Record<string, string>> = { reference: "Border of the reference" };
 const NOTHING = "";
+/** The page's own controls of the play, which only the page that steers may use. */
+const PLAY = ["play", "time", "loop", "rate"] as const;
 const CAP_MBPS = [0.5, 150] as const;
 const CAP_STEPS = 100;
 const MOST_DELAY_MS = 250;
@@ -67,6 +69,8 @@ export class Panel {
     the<HTMLInputElement>("loop").checked = state.loop;
     this.#follow.disabled = !state.held || !state.steers;
     the("watching").hidden = state.steers;
+    const link = this.#link ? [this.#link.cap, this.#link.delay] : [];
+    for (const control of [...PLAY.map((id) => the<HTMLInputElement>(id)), ...this.#choices.values(), ...link]) control.disabled = !state.steers;
     if (!this.#link || !state.shaper || state.shaper.error) return;
     put(this.#link.cap, String(stepOf(state.shaper.cap_mbps ?? null)));
     put(this.#link.delay, String(state.shaper.delay_ms ?? 0));

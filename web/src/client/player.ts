@@ -98,7 +98,7 @@ export class ClientPlayer implements Playing {
   seek(frame: number): void {
     if (!this.info) return;
     const wanted = Math.max(0, Math.min(Math.round(frame), this.info.frames - 1));
-    this.#wanted = { frame: wanted, untilMs: performance.now() + SEEK_MS };
+    if (this.state?.steers !== false) this.#wanted = { frame: wanted, untilMs: performance.now() + SEEK_MS };
     this.set("frame", wanted);
   }
 

@@ -54,6 +54,7 @@ export class Bar {
       wishes.seek(Number(this.#time.value));
     });
     for (const kind of ["pointermove", "pointerdown", "keydown", "touchstart"]) addEventListener(kind, () => this.#touch(), { passive: true });
+    new ResizeObserver(() => this.#stage.style.setProperty("--bar", `${this.#bar.offsetHeight}px`)).observe(this.#bar);
     this.inspect(kept("inspect") === "1");
   }
 
@@ -102,7 +103,7 @@ export class Bar {
     setIcon(this.#play, playing ? "pause" : "play");
     this.#play.setAttribute("aria-label", playing ? "Pause" : "Play");
     this.#time.max = String(info.frames - 1);
-    const frame = this.#dragged ? Number(this.#time.value) : Math.round(player.seconds * info.fps);
+    const frame = this.#dragged ? Number(this.#time.value) : goneTo(player);
     if (!this.#dragged) this.#time.value = String(frame);
     const text = `${clock(frame / info.fps)} / ${clock(info.frames / info.fps)}`;
     if (this.#clock.textContent !== text) {
@@ -125,8 +126,8 @@ export class Bar {
       KeyP: () => this.#wishes.snapshot(),
       KeyR: () => this.#wishes.record(),
       KeyV: () => this.#wishes.immerse(),
-      Comma: () => player && this.#wishes.seek(player.frame - 1),
-      Period: () => player && this.#wishes.seek(player.frame + 1),
+      Comma: () => player && this.#wishes.seek(goneTo(player) - 1),
+      Period: () => player && this.#wishes.seek(goneTo(player) + 1),
       Escape: () => this.inspect(false),
     };
     MODES.forEach((mode, i) => (wishes[`Digit${i + 1}`] = () => this.#wishes.mode(mode)));
@@ -143,6 +144,11 @@ export class Bar {
     this.#touchedMs = performance.now();
     this.#stage.removeAttribute("data-idle");
   }
+}
+
+/** The frame that was gone to last, even while another one is being drawn; else the one on display. */
+export function goneTo({ info, seconds, frame }: Pick<Playing, "info" | "seconds" | "frame">): number {
+  return info ? Math.round(seconds * info.fps) : frame;
 }
 
 /** Whether a key that goes down, or is held, does something (again). */

@@ -19,6 +19,7 @@ export function takesKey(target: EventTarget | null, code: string): boolean {
   if (target instanceof HTMLSelectElement) return true;
   if (target instanceof HTMLButtonElement) return code === "Space" || code === "Enter";
   if (!(target instanceof HTMLInputElement)) return false;
+  if (code === "Escape") return false;
   if (target.type === "checkbox") return code === "Space";
   return target.type !== "range" || SLIDER_KEYS.test(code);
 }

@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { registerHooks } from "node:module";
 import test from "node:test";
 import { headingsOf } from "../../src/page/author.ts";
-import { acts } from "../../src/page/bar.ts";
+import { acts, goneTo } from "../../src/page/bar.ts";
 import { verdictOf } from "../../src/page/light.ts";
 import { bearer, givenPose, hashOf, leave, movedTo, type Place, placeOf, taken } from "../../src/page/place.ts";
 import { anglesOf, intrinsicsOf, MOST_PIXELS, pixelsOf, usableSize } from "../../src/page/view.ts";
@@ -119,6 +119,12 @@ test("a key that is held acts once, but for those that step through the frames",
   const held = (code: string): boolean => acts({ code, repeat: true });
   assert.deepEqual(["Space", "KeyR", "KeyF", "KeyI", "KeyV", "Comma", "Period"].map(held), [false, false, false, false, false, true, true]);
   assert.ok(acts({ code: "Space", repeat: false }));
+});
+
+test("a step is from where the play goes to, even while another frame is shown", () => {
+  const info = { name: "clip", frames: 90, fps: 30 };
+  assert.equal(goneTo({ info, seconds: 14 / 30, frame: 11 }), 14);
+  for (let frame = 0; frame < info.frames; frame++) assert.equal(goneTo({ info, seconds: frame / 30, frame }), frame);
 });
 
 test("scenes of one title can be told apart", () => {
