@@ -163,6 +163,19 @@ async def test_what_cannot_be_encoded_is_told_in_a_line_and_leaves_nothing(tmp_p
     assert names(tmp_path) == []
 
 
+async def test_a_frame_that_cannot_be_read_is_told_by_its_own_name(tmp_path: Path) -> None:
+    frames = {"walk 1.ply": capture(tmp_path / "a.ply"), "clip/walk 2.ply": b"nonsense"}
+    (tmp_path / "a.ply").unlink()
+    data = archive(tmp_path / "frames.zip", frames).read_bytes()
+    (tmp_path / "frames.zip").unlink()
+    async with gallery(tmp_path, accept_uploads=True) as (url, _), ClientSession() as http:
+        assert (await http.post(f"{url}/upload?name=frames.zip", data=data)).status == 202
+        job = await ended(http, url)
+        assert job["state"] == "failed"
+        assert job["text"].startswith("walk 2.ply: ")
+    assert names(tmp_path) == []
+
+
 async def test_no_more_than_the_limit_is_received(tmp_path: Path) -> None:
     async def endless() -> AsyncIterator[bytes]:
         for _ in range(4):
@@ -180,7 +193,7 @@ async def test_an_encoding_can_be_ended(tmp_path: Path) -> None:
     async with gallery(tmp_path, accept_uploads=True) as (url, _), ClientSession() as http:
         assert (await http.post(f"{url}/upload?name=a.ply", data=capture(tmp_path / "a.ply"))).status == 202
         job = await (await http.delete(f"{url}/upload")).json()
-        assert (job["state"], job["text"]) == ("failed", "ended")
+        assert (job["state"], job["text"]) == ("failed", "the upload was ended")
         assert names(tmp_path) == ["a.ply"]
 
 
@@ -212,7 +225,7 @@ async def test_a_file_that_is_being_received_can_be_ended_and_another_one_taken(
         sending = asyncio.create_task(http.post(f"{url}/upload?name=a.ply", data=body))
         await received(http, url)
         job = await (await http.delete(f"{url}/upload")).json()
-        assert (job["state"], job["text"]) == ("failed", "ended")
+        assert (job["state"], job["text"]) == ("failed", "the upload was ended")
         assert names(tmp_path) == ["a.ply"], "nothing is left of it"
         answer = await http.post(f"{url}/upload?name=b.ply", data=data)
         assert answer.status == 202, "another one has the place"
@@ -221,7 +234,9 @@ async def test_a_file_that_is_being_received_can_be_ended_and_another_one_taken(
             answer = await sending
             assert answer.status == 409
             assert "ended" in (await answer.json())["error"]
-        assert (await (await http.get(f"{url}/upload")).json())["text"] != "ended", "which the late rest does not end"
+        assert (await (await http.get(f"{url}/upload")).json())["text"] != "the upload was ended", (
+            "which the late rest does not end"
+        )
 
 
 async def test_an_upload_that_is_ended_when_it_has_just_come_is_not_encoded(
@@ -241,7 +256,7 @@ async def test_an_upload_that_is_ended_when_it_has_just_come_is_not_encoded(
         await came.wait()
         await uploads.end()
         assert (await sending).status == 409
-        assert (uploads.job.state, uploads.job.text) == ("failed", "ended")
+        assert (uploads.job.state, uploads.job.text) == ("failed", "the upload was ended")
     assert names(tmp_path) == []
 
 

@@ -74,6 +74,7 @@ export class DrawnShow implements Show {
       const [scene, chroma] = PUBLISHED ? [] : await Promise.all([this.#bundle(), finestChroma()]); // no references without a server
       if (attempt !== this.#attempts || (!PUBLISHED && !scene)) return;
       this.#chroma = chroma;
+      the("correct").closest("label")!.hidden = !chroma;
       await Promise.race([rendering, undefined]); // throws where it is known that nothing can be drawn
       if (!this.immersed) await seen(); // a page in the background asks for nothing
       if (attempt !== this.#attempts) return;
@@ -99,7 +100,7 @@ export class DrawnShow implements Show {
   }
 
   figures(rate: number): readonly Figure[] {
-    return this.player ? drawnFigures(this.player, this.renderer?.gpu.name ?? "", rate) : [];
+    return this.player ? drawnFigures(this.player, this.renderer?.gpu.name ?? "", rate, this.#chroma !== undefined) : [];
   }
 
   present(): void {

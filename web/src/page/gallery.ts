@@ -3,6 +3,7 @@
 import "./gallery.css";
 import { headingsOf } from "./author.ts";
 import { the } from "./dom.ts";
+import { lasts, size } from "./facts.ts";
 import { bearer, placeOf } from "./place.ts";
 import { Uploads } from "./uploads.ts";
 
@@ -79,14 +80,6 @@ function say(text: string): void {
 
 function make<K extends keyof HTMLElementTagNameMap>(name: K): HTMLElementTagNameMap[K] {
   return document.createElement(name);
-}
-
-function lasts(seconds: number): string {
-  return seconds < 60 ? `${seconds.toFixed(seconds < 10 ? 1 : 0)} s` : `${Math.floor(seconds / 60)} min ${Math.round(seconds % 60)} s`;
-}
-
-function size(bytes: number): string {
-  return bytes < 1e5 ? `${(bytes / 1e3).toFixed(0)} kB` : `${(bytes / 1e6).toFixed(bytes < 1e7 ? 1 : 0)} MB`;
 }
 
 the<HTMLFormElement>("token").addEventListener("submit", (event) => {

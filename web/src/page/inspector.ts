@@ -47,22 +47,23 @@ export class Inspector {
   }
 }
 
-/** Of what this page draws itself, on `device`. */
-export function drawnFigures(player: Player, device: string, rate: number): Figure[] {
+/** Of what this page draws itself, on `device`; of corrections only where the scene comes with references. */
+export function drawnFigures(player: Player, device: string, rate: number, references: boolean): Figure[] {
   const fresh = <T>(atUs: number | undefined, value: T): T | undefined =>
     atUs !== undefined && nowUs() - atUs < STALE_US ? value : undefined;
   const { status, shown, info } = player;
   const detail = detailOf(player);
   const size = shown?.camera.intrinsics;
   const age = shown?.reference ? `${shown.frame - shown.reference.frame} frames` : "none";
+  const corrections = (figure: Figure): Figure[] => (references ? [figure] : []);
   return [
     ["Link", fresh(status?.atUs, `${((status?.goodputBps ?? 0) / 1e6).toFixed(1)} Mbit/s`)],
     ["Round trip", status?.rttMs === undefined ? undefined : fresh(status.atUs, `${status.rttMs.toFixed(0)} ms`)],
     ["Received", status ? megabytes(status.bytesTiles + status.bytesReference + status.bytesOther) : undefined],
-    ["Corrections", status ? megabytes(status.bytesReference) : undefined],
+    ...corrections(["Corrections", status ? megabytes(status.bytesReference) : undefined]),
     ["Ahead", shown ? fresh(shown.atUs, `${(shown.update.bufferMs / 1000).toFixed(1)} s`) : undefined],
     ["Detail in view", detail === undefined ? undefined : `${Math.round(100 * detail)} %`],
-    ["Correction age", shown ? fresh(shown.atUs, age) : undefined],
+    ...corrections(["Correction age", shown ? fresh(shown.atUs, age) : undefined]),
     ["Splats", shown ? shown.update.capacity.toLocaleString("en") : undefined],
     ["Picture", size && `${size.widthPx} × ${size.heightPx}`],
     ["Pictures a second", `${rate.toFixed(0)}${info ? ` (scene: ${info.fps})` : ""}`],

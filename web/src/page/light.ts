@@ -21,7 +21,7 @@ export function verdictOf(player: Player): Verdict {
   if (status.link === "away") return { state: "bad", text: "server: not reached" };
   if (status.link === "ended") return { state: "bad", text: "server: ended" };
   if (!shown || player.waiting) return { state: "wait", text: "loading" };
-  if (player.cadencePermille < 1000) return { state: "fair", text: "this device: fewer frames" };
+  if (player.playing && player.cadencePermille < 1000) return { state: "fair", text: "this device: fewer frames" };
   if (player.scale < 1) return { state: "fair", text: "this device: fewer pixels" };
   if (shown.update.missed && player.playing) return { state: "bad", text: "your link: too slow" };
   if (player.playing && Number.isNaN(shown.update.lodMean)) return { state: "fair", text: "nothing in view" };

@@ -15,6 +15,11 @@ interface Job {
 }
 
 const LOOK_MS = 700;
+const NOTHING: Job = { state: "idle", text: "", share: null, scene: "" };
+/** What a clip's frames may be. */
+const FRAMES = [".ply", ".spz", ".splat", ".sog"] as const;
+
+const isUnderWay = ({ state }: Job): boolean => state === "receiving" || state === "encoding";
 
 export class Uploads {
   readonly #ask: Ask;
@@ -23,6 +28,7 @@ export class Uploads {
   #mostBytes = 0;
   #looking = 0;
   #sending: AbortController | null = null;
+  #stopping = false;
 
   /** `done`: there is another scene. */
   constructor(ask: Ask, say: (text: string) => void, done: () => void) {
@@ -40,7 +46,7 @@ export class Uploads {
       document.addEventListener(kind, (event) => {
         event.preventDefault();
         zone.toggleAttribute("data-over", kind === "dragover" && this.#mostBytes > 0);
-        if (kind === "drop") void this.#send([...(event.dataTransfer?.files ?? [])]);
+        if (kind === "drop") this.#dropped(event.dataTransfer);
       });
     }
   }
@@ -53,12 +59,20 @@ export class Uploads {
     if (mostBytes) void this.#look();
   }
 
+  #dropped(data: DataTransfer | null): void {
+    const folder = [...(data?.items ?? [])].map((item) => item.webkitGetAsEntry?.()).find((entry) => entry?.isDirectory);
+    if (!folder) void this.#send([...(data?.files ?? [])]);
+    else if (this.#mostBytes) this.#say(`${folder.name} is a folder. Drop the files that are in it, or a .zip of them.`);
+  }
+
   async #send(files: readonly File[]): Promise<void> {
     if (!files.length || !this.#mostBytes) return;
     if (this.#sending || !the("job").hidden) return this.#say("One file at a time: the server still has another.");
     this.#say("");
     const bytes = files.reduce((sum, file) => sum + file.size, 0);
     if (bytes > this.#mostBytes) return this.#say(`${files[0].name}: ${(bytes / 1e6).toFixed(0)} MB are more than the ${(this.#mostBytes / 1e6).toFixed(0)} MB that this server takes.`);
+    const strange = files.length > 1 && files.find(({ name }) => !FRAMES.some((end) => name.toLowerCase().endsWith(end)));
+    if (strange) return this.#say(`${strange.name}: is no frame of a clip (${FRAMES.join(", ")}). Send the frames alone.`);
     this.#show({ state: "receiving", text: "Sending", share: null, scene: "" });
     const sending = (this.#sending = new AbortController());
     let look = 0;
@@ -82,11 +96,15 @@ export class Uploads {
 
   /** Have the server give the job up. */
   async #stop(): Promise<void> {
+    this.#stopping = true;
     try {
       const answer = await this.#ask("upload", { method: "DELETE" });
-      if (!answer.ok) this.#say(await reasonOf(answer));
+      if (answer.ok) await this.#look();
+      else this.#say(await reasonOf(answer));
     } catch {
       this.#say("The server is not there; it may go on encoding.");
+    } finally {
+      this.#stopping = false;
     }
   }
 
@@ -96,17 +114,31 @@ export class Uploads {
     const again = (): void => void (this.#looking = window.setTimeout(() => void this.#look(), LOOK_MS));
     const answer = await this.#ask("upload").catch(() => undefined);
     const job = answer?.ok ? await (answer.json() as Promise<Job>).catch(() => undefined) : undefined;
-    if ((!answer || answer.ok) && !job && !the("job").hidden) return again(); // the server may be back, and still at it
-    if (!job) return;
-    const before = the("job").hidden;
+    const following = !the("job").hidden;
+    if (!job) {
+      if (!following) return;
+      if (answer && answer.status >= 400 && answer.status < 500) return this.#over(await reasonOf(answer));
+      if (!answer?.ok) the("job-text").textContent = "The server is not there; this page looks for it";
+      return again(); // the server may be back, and still at it
+    }
+    if (isUnderWay(job)) again();
+    else if (this.#sending) return again(); // that was the job before
     this.#show(job);
-    if (job.state === "receiving" || job.state === "encoding") again();
-    else if (!before && job.state === "done") this.#done();
-    else if (!before && job.state === "failed") this.#say(job.text);
+    if (!following || isUnderWay(job)) return;
+    if (job.state === "done") this.#done();
+    else if (job.state === "idle") this.#say("The upload was lost: the server has started anew. Send the file again.");
+    else if (!this.#stopping) this.#say(job.text);
   }
 
-  #show({ state, text, share }: Job): void {
-    const busy = state === "receiving" || state === "encoding";
+  /** There is no job to follow any more. */
+  #over(why: string): void {
+    this.#show(NOTHING);
+    this.#say(why);
+  }
+
+  #show(job: Job): void {
+    const { text, share } = job;
+    const busy = isUnderWay(job);
     the("job").hidden = !busy;
     the("invite").hidden = busy;
     the("job-text").textContent = text;

@@ -5,6 +5,8 @@ import { registerHooks } from "node:module";
 import test from "node:test";
 import { headingsOf } from "../../src/page/author.ts";
 import { acts, goneTo } from "../../src/page/bar.ts";
+import { lasts } from "../../src/page/facts.ts";
+import { drawnFigures } from "../../src/page/inspector.ts";
 import { verdictOf } from "../../src/page/light.ts";
 import { bearer, givenPose, hashOf, leave, movedTo, type Place, placeOf, taken } from "../../src/page/place.ts";
 import { anglesOf, intrinsicsOf, MOST_PIXELS, pixelsOf, usableSize } from "../../src/page/view.ts";
@@ -130,6 +132,23 @@ test("a step is from where the play goes to, even while another frame is shown",
 test("scenes of one title can be told apart", () => {
   const scenes = [["a", "procedural"], ["b", "procedural"], ["vase", "Vase"], ["procedural", "procedural"]].map(([name, title]) => ({ name: name!, title: title! }));
   assert.deepEqual(headingsOf(scenes), ["procedural (a)", "procedural (b)", "Vase", "procedural"]);
+});
+
+test("a clip's length is said without sixty seconds", () => {
+  assert.deepEqual([0, 9.94, 9.97, 59.4, 59.7, 119.7, 120, 61].map(lasts), ["0.0 s", "9.9 s", "10 s", "59 s", "1 min 0 s", "2 min 0 s", "2 min 0 s", "1 min 1 s"]);
+});
+
+test("a still, whole picture is not said to lack frames, and no figure is of corrections where none come", () => {
+  const player = {
+    info: { lods: 3, fps: 30 }, status: { link: "open", references: false, bytesTiles: 1, bytesReference: 0, bytesOther: 0 }, waiting: false, playing: false,
+    cadencePermille: 500, scale: 1, missed: 0, shown: null,
+  };
+  const update = { missed: false, lodMean: 2 };
+  const still = { ...player, shown: { update, atUs: nowUs() } } as unknown as Player;
+  assert.deepEqual(verdictOf(still), { state: "good", text: "good" });
+  assert.deepEqual(verdictOf({ ...still, playing: true } as Player), { state: "fair", text: "this device: fewer frames" });
+  const names = (references: boolean): string[] => drawnFigures(player as unknown as Player, "", 0, references).map(([name]) => name);
+  assert.deepEqual(names(true).filter((name) => !names(false).includes(name)), ["Corrections", "Correction age"]);
 });
 
 test("the light is not green over a picture without any splats", () => {

@@ -34,10 +34,11 @@ interface Asked {
 /** The gallery of a server that answers as `answers` does. */
 function gallery(answers: (asked: Asked) => Promise<Response>): { asked: Asked[]; said: string[]; drop: (...files: File[]) => void; at: (id: string) => Element } {
   elements.clear();
+  const mine = ++galleries;
   const [asked, said]: [Asked[], string[]] = [[], []];
   const ask = (path: string, options: RequestInit = {}): Promise<Response> => {
     asked.push({ path, options });
-    return over ? json(IDLE) : answers({ path, options });
+    return mine === galleries ? answers({ path, options }) : new Promise(() => undefined);
   };
   const at = (id: string): Element => page.getElementById(id)!;
   at("job").hidden = true;
@@ -49,12 +50,18 @@ function gallery(answers: (asked: Asked) => Promise<Response>): { asked: Asked[]
   return { asked, said, drop, at };
 }
 
-let over = false; // pages that follow a job would go on following it
-after(() => (over = true));
+let galleries = 0; // an earlier one may still follow a job, and would go on following it
+after(() => galleries++);
 
 const IDLE = { state: "idle", text: "", share: null, scene: "" };
 const json = (value: unknown, status = 200): Promise<Response> => Promise.resolve(Response.json(value, { status }));
 const file = (name: string, bytes = 10): File => new File([new Uint8Array(bytes)], name);
+/** A server that has not answered yet, until it is let. */
+function held(): { answer: Promise<Response>; let: () => void } {
+  let go = (): void => undefined;
+  const answer = new Promise<Response>((resolve) => (go = () => resolve(Response.json(IDLE, { status: 202 }))));
+  return { answer, let: go };
+}
 const posts = (asked: readonly Asked[]): Asked[] => asked.filter(({ options }) => options.method === "POST");
 
 test("a file that cannot be read is said, and the page can take another", async () => {
@@ -78,13 +85,15 @@ test("what is cancelled while its archive is made is not sent, and nothing is sa
 });
 
 test("a second file waits for the first one to be done", async () => {
-  const { asked, said, drop } = gallery(({ options }) => (options.method === "POST" ? new Promise(() => undefined) : json(IDLE)));
+  const post = held();
+  const { asked, said, drop } = gallery(({ options }) => (options.method === "POST" ? post.answer : json(IDLE)));
   drop(file("a.ply"));
   await sleep(5);
   drop(file("b.ply"));
   await sleep(5);
   assert.match(said.at(-1)!, /One file at a time/);
   assert.equal(posts(asked).length, 1);
+  post.let();
 });
 
 test("what a server or a proxy in front of it answers is said", async () => {
@@ -131,6 +140,61 @@ test("an answer that is no job does not end the following of one", async () => {
   await sleep(1_600);
   assert.ok(asks >= 3);
   assert.equal(at("job").hidden, true);
+});
+
+test("an upload that its server loses is said to be lost, and where the server is meanwhile", async () => {
+  let asks = 0;
+  const busy = { ...IDLE, state: "encoding", text: "Frames" };
+  const { at, said } = gallery(() => (++asks === 1 ? json(busy) : asks === 2 ? Promise.reject(new TypeError("network")) : json(IDLE)));
+  await sleep(1_000);
+  assert.match(at("job-text").textContent, /not there/);
+  assert.equal(at("job").hidden, false);
+  await sleep(800);
+  assert.match(said.at(-1)!, /lost/);
+  assert.deepEqual([at("job").hidden, at("invite").hidden], [true, false]);
+});
+
+test("a server that has a job no longer to be asked for is not asked on", async () => {
+  let asks = 0;
+  const { at, said } = gallery(() => (++asks === 1 ? json({ ...IDLE, state: "encoding" }) : json({ error: "no uploads here" }, 404)));
+  await sleep(1_600);
+  assert.deepEqual([said.at(-1), at("job").hidden, asks], ["no uploads here", true, 2]);
+});
+
+test("a job that is given up here goes without a word, and one that is given up elsewhere with one", async () => {
+  for (const here of [true, false]) {
+    let job = { ...IDLE, state: "encoding" };
+    const end = (): void => void (job = { ...IDLE, state: "failed", text: "the upload was ended" });
+    const { at, said } = gallery(({ options }) => (options.method === "DELETE" && end(), json(job)));
+    await sleep(5);
+    if (here) at("cancel").click();
+    else end();
+    await sleep(1_000);
+    assert.deepEqual(said.filter(Boolean), here ? [] : ["the upload was ended"]);
+    assert.deepEqual([at("job").hidden, at("invite").hidden], [true, false]);
+  }
+});
+
+test("what the server says of the job before does not end a file that is being sent", async () => {
+  const before = { ...IDLE, state: "failed", text: "old.ply: is no PLY" };
+  const post = held();
+  const { at, said, drop } = gallery(({ options }) => (options.method === "POST" ? post.answer : json(before)));
+  drop(file("a.ply"));
+  await sleep(1_000);
+  assert.deepEqual(said.filter(Boolean), []);
+  assert.equal(at("job").hidden, false);
+  post.let();
+});
+
+test("folders, and files among frames that are none, are named and not sent", async () => {
+  const { asked, said, drop } = gallery(() => json(IDLE));
+  drop(file("a.ply"), file("readme.txt"));
+  assert.match(said.at(-1)!, /^readme\.txt: is no frame/);
+  const items = [{ webkitGetAsEntry: () => ({ isDirectory: true, name: "clip" }) }];
+  page.dispatchEvent(Object.assign(new Event("drop"), { dataTransfer: { items, files: [file("clip")] } }));
+  assert.match(said.at(-1)!, /^clip is a folder/);
+  await sleep(5);
+  assert.equal(posts(asked).length, 0);
 });
 
 test("more files than an archive can say are refused", async () => {

@@ -35,6 +35,12 @@ def unpacked(archive: Path, folder: Path, most_bytes: int) -> Path:
     return found[0] if len(found) == 1 else folder
 
 
+def frame_names(archive: Path, most_bytes: int) -> list[str]:
+    """What the archive calls the frames that :func:`unpacked` numbers, in their order, without folders."""
+    with zipfile.ZipFile(archive) as held:
+        return [Path(entry.filename).name for entry in _frames(held, most_bytes)]
+
+
 def _frames(held: zipfile.ZipFile, most_bytes: int) -> list[zipfile.ZipInfo]:
     entries = held.infolist()
     if len(entries) > MAX_ENTRIES:

@@ -24,7 +24,7 @@ from aiohttp import web
 from cags_common.errors import CagsError, ConfigError
 from cags_common.transport.hosts import named
 from cags_server.http.admission import header_allowed, origin_allowed
-from cags_server.http.gallery.archives import unpacked
+from cags_server.http.gallery.archives import frame_names, unpacked
 from cags_server.scene.collection import Collection, scene_name
 from cags_server.settings import ServeSettings
 
@@ -40,6 +40,7 @@ QUIET_S = 30.0
 NICENESS = 10
 """Of the encoder: viewers come first."""
 MAX_LINE = 300
+ENDED = "the upload was ended"
 _PROGRESS = re.compile(r"(\D{1,60}): (\d{1,9}) of (\d{1,9})", re.ASCII)
 
 log = logging.getLogger(__name__)
@@ -162,7 +163,7 @@ class Uploads:
         finally:
             receiving.cancel()  # where the request itself is cancelled
         if self._work is not receiving:
-            raise UploadError("the upload was ended", 409)
+            raise UploadError(ENDED, 409)
         await receiving
 
     def _refusal(self, request: web.Request) -> web.Response | None:
@@ -227,7 +228,10 @@ class Uploads:
         try:
             last = await self._follow(process)
             if await process.wait():
-                raise UploadError(last.replace(f"{place}/", "").removeprefix("error: ") or "the encoder failed")
+                told = last.replace(f"{place}/", "").removeprefix("cags-encode: ")
+                if file.suffix == ".zip":
+                    told = _as_sent(told, file.stem, frame_names(file, UNPACKED * self._most))
+                raise UploadError(told or "the encoder failed")
         finally:
             if process.returncode is None:
                 process.kill()
@@ -256,7 +260,7 @@ class Uploads:
         self._place = None
         if error is None:
             return
-        reason = {asyncio.CancelledError: "ended", TimeoutError: "took too long"}.get(type(error), str(error))
+        reason = {asyncio.CancelledError: ENDED, TimeoutError: "encoding took too long"}.get(type(error), str(error))
         self.job = Job("failed", reason.splitlines()[0][:MAX_LINE] if reason else type(error).__name__)
         log.warning("upload: %s", self.job.text)
 
@@ -272,6 +276,16 @@ def _is_still(file: Path) -> bool:
     with file.open("rb") as data, contextlib.suppress(OSError):
         return file.suffix == ".ply" and b"trbf_center" not in data.read(1 << 16)  # SpaceTime Gaussians have it
     return False
+
+
+def _as_sent(text: str, folder: str, frames: list[str]) -> str:
+    """A message with the frames' own names, instead of those that they were unpacked to in ``folder``."""
+
+    def own(match: re.Match[str]) -> str:
+        number = int(match[1])
+        return "".join(c for c in frames[number] if c.isprintable())[-60:] if number < len(frames) else match[0]
+
+    return re.sub(rf"{re.escape(folder)}/([0-9]{{5}})\.[a-z]+", own, text)
 
 
 def _title(text: str) -> str:
