@@ -63,6 +63,10 @@ def test_its_pictures_are_pythons_byte_for_byte_after_seeks_too(viewer: Page, ho
     viewer.until(f"player.shown.frame === 13 && {WHOLE}")
     same_as_python(viewer, room)
     assert viewer.ask("player.status.bytesReference") == 0
+    viewer.do("document.getElementById('inspect').click()")
+    viewer.until("document.getElementById('figures').textContent.includes('Received')")
+    assert viewer.ask("document.getElementById('correct').checkVisibility()") is False
+    assert viewer.ask("/orrection/.test(document.getElementById('inspector').innerText)") is False
 
 
 def test_a_play_can_be_begun_again_while_a_picture_is_being_drawn(viewer: Page, host: int) -> None:
