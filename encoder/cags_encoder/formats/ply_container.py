@@ -66,7 +66,7 @@ class PlyHeader:
 
 def parse_header(data: bytes, source: str) -> PlyHeader:
     """Parse the header at the start of ``data``; ``source`` names the file in errors. Raises :class:`SceneError`."""
-    if not data.startswith((b"ply\n", b"ply\r\n")):
+    if re.match(rb"ply\r?(\n|\Z)", data) is None:
         raise SceneError(f"{source}: is not a PLY file (it begins with {bytes(data[:4])!r}); check the file's type")
     end = re.search(rb"\nend_header\r?\n", data[:MAX_HEADER_BYTES])
     if end is None:

@@ -75,6 +75,14 @@ def test_a_text_ply_that_claims_more_rows_than_its_bytes_can_hold_is_refused_bef
         parse_ply(text_ply(TEXT_ROWS).replace(b"vertex 2", b"vertex 19000000"), "file.ply")
 
 
+@pytest.mark.parametrize(
+    ("data", "word"), [(b"ply", "cut short"), (b"ply\r", "cut short"), (b"plyx", "is not a PLY file")]
+)
+def test_a_file_that_ends_in_its_first_line_is_cut_short(data: bytes, word: str) -> None:
+    with pytest.raises(SceneError, match=word):
+        parse_header(data, "file.ply")
+
+
 def test_infinite_opacity_is_kept_as_opaque() -> None:
     arrays = {name: array.copy() for name, array in SPLATS.arrays()}
     arrays["logit_opacities"][:2] = np.inf, -np.inf
