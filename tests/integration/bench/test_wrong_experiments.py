@@ -58,7 +58,7 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, s
 
 
 NO_FOLDER = "there is no folder nodir; name a file in an existing one"
-NO_PLACE = "taken: cannot be written (File exists); choose another place"
+NO_PLACE = "taken: cannot be written (it is no folder); choose another place"
 
 
 @pytest.mark.parametrize(
