@@ -14,14 +14,10 @@ from cags_client.frame.pipeline import ClientPipeline
 from cags_client.frame.presented import PresentedFrame
 from cags_client.playback.player import Player
 from cags_client.settings import ClientSettings
-from cags_common.correction.views import StagedViews
 from cags_common.geometry import Camera
-from cags_common.raster.base import RenderedView, RenderOptions
-from cags_common.splats import Splats
 from cags_encoder import EncodeSettings
-from cags_server.reference.job import FrameJob
 from cags_server.settings import ServerSettings
-from support.closed_loop import assert_same, copied
+from support.compared_mirror import Compared
 
 FRAMES, GROUP = 24, 8
 MOVING = f"procedural:size=900,frames={FRAMES}"
@@ -34,48 +30,6 @@ def scenario(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
     client = ClientSettings(width=96, height=72)
     server = ServerSettings(reference_width=64, reference_height=48, references="difference")
     return Scenario(bundle, "generated:steady-8", "synthetic:walking", server=server, client=client, scored=False)
-
-
-class Compared:
-    """Notes what the mirror held for each reference, and compares it with what the client holds that shows it."""
-
-    def __init__(self, patch: pytest.MonkeyPatch) -> None:
-        self.frames: list[int] = []
-        self._made: dict[tuple[int, int], Splats] = {}
-        """By frame and mark of the newest connection."""
-        staged, present = FrameJob._staged, ClientPipeline.present
-
-        def noted(job: FrameJob, drawn: RenderedView, options: RenderOptions) -> StagedViews:
-            views = staged(job, drawn, options)
-            assert job.mirror is not None
-            if views.compared:
-                assert job.mirror.splats is not None
-                self._made[job.plan.frame, job.plan.basis] = copied(job.mirror.splats)
-            return views
-
-        def compared(
-            pipeline: ClientPipeline, frame: int, camera: Camera, share: float = 0.0, *, half: bool = False
-        ) -> PresentedFrame:
-            before = pipeline._used
-            shown = present(pipeline, frame, camera, share, half=half)
-            reference = shown.reference
-            if reference is not None and reference.frame == frame and reference.assumes and pipeline._used > before:
-                basis = reference.basis - pipeline._marked_before
-                if basis > 0:  # of this connection
-                    self._compare(pipeline, frame, basis)
-            return shown
-
-        patch.setattr(FrameJob, "_staged", noted)
-        patch.setattr(ClientPipeline, "present", compared)
-
-    def _compare(self, pipeline: ClientPipeline, frame: int, basis: int) -> None:
-        store, made = pipeline.on_display, self._made.get((frame, basis))
-        if made is None:
-            assert store is None or not store.begun, "the client holds what the mirror lacks"
-            return
-        assert store is not None
-        assert_same(store.splats, made, f"frame {frame}, mark {basis}")
-        self.frames.append(frame)
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,8 @@ import pytest
 
 from cags_bench.bundles import cached_bundle
 from cags_bench.sim.session import Cut
-from cags_client.frame.pipeline import ClientPipeline
 from cags_encoder import EncodeSettings
-from cags_server.reference.job import FrameJob
-from support.closed_loop import assert_same, copied
+from support.compared_mirror import Compared
 from support.steered_play import CLIENT, SERVER, SteeredPlay, Wish, scenario_of
 
 
@@ -116,11 +114,11 @@ def test_whatever_a_viewer_does_all_ends_of_one_mind(seed: int, clips: Clips, mo
         delay_us=rng.choice([5_000, 20_000, 60_000]),
         draw_us=rng.choice([0, 0, 8_000, 25_000]),
     )
-    mirrors = _Compared(monkeypatch)
+    compared = Compared(monkeypatch, always=False)
     play = SteeredPlay(scenario, wishes, jobs_us=rng.choice([0, 0, 15_000, 60_000]), rng=rng)
     play.until(20)
     assert play.problems() == []
-    assert mirrors.unlike == []
+    assert compared.frames or references == "picture"
 
 
 def _random_wishes(rng: random.Random) -> tuple[list[Wish], tuple[Cut, ...]]:
@@ -148,40 +146,3 @@ def _random_wishes(rng: random.Random) -> tuple[list[Wish], tuple[Cut, ...]]:
     wishes.append((9_100_000, lambda player, now_us: player.play(now_us)))
     wishes.append((9_700_000, lambda player, now_us: player.pause(now_us)))
     return wishes, tuple(cuts)
-
-
-class _Compared:
-    """Notes where what a client shows with a frame's own reference is not what the mirror held by its mark."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.unlike: list[str] = []
-        made: dict[tuple[int, int], Any] = {}
-        staged, present, restarted = FrameJob._staged, ClientPipeline.present, ClientPipeline.restarted
-
-        def noted(job: FrameJob, *arguments: Any) -> Any:
-            views = staged(job, *arguments)
-            if views.compared and job.mirror is not None:
-                made[job.plan.frame, job.plan.basis] = copied(job.mirror.splats)
-            return views
-
-        def compared(pipeline: ClientPipeline, frame: int, *arguments: Any, **named: Any) -> Any:
-            before = pipeline._used
-            shown = present(pipeline, frame, *arguments, **named)
-            own, store = shown.reference, pipeline.on_display
-            if own is None or own.frame != frame or not own.assumes or own.order <= before or store is None:
-                return shown
-            mirror = made.get((frame, own.basis - pipeline._marked_before))
-            if mirror is not None:
-                try:
-                    assert_same(store.splats, mirror, f"frame {frame}, mark {own.basis}")
-                except AssertionError as error:
-                    self.unlike.append(str(error))
-            return shown
-
-        def taken_up(pipeline: ClientPipeline, inventory: Any) -> None:
-            made.clear()  # marks of another connection
-            restarted(pipeline, inventory)
-
-        monkeypatch.setattr(FrameJob, "_staged", noted)
-        monkeypatch.setattr(ClientPipeline, "present", compared)
-        monkeypatch.setattr(ClientPipeline, "restarted", taken_up)

@@ -99,8 +99,8 @@ class SendQueue:
         return iter(self._entries.values())
 
     def put(self, outgoing: Outgoing) -> None:
-        """Queue a message. Beyond the bounds the least valuable one that is not started is dropped, maybe this one; but
-        no part of a blob, without which a client could do nothing for the whole session.
+        """Queue a message. Beyond the bounds the least valuable one that is not started is dropped, maybe this one.
+        Parts of blobs, without which a client could do nothing for the whole session, are dropped last.
 
         Raises :class:`ProtocolError` for a message that must not travel.
         """
@@ -115,11 +115,7 @@ class SendQueue:
         if outgoing.deadline_us is not None:
             heapq.heappush(self._deadlines, (outgoing.deadline_us, ident))
         while self.queued_bytes > self._max_bytes or len(self._entries) > self._max_messages:
-            spare = (e for e in self._entries.values() if not isinstance(e.outgoing.message, Blob))
-            least = max(spare, key=lambda e: (not e.started, e.rank), default=None)
-            if least is None:
-                break
-            self.drop(least, "overflow")
+            self.drop(max(self._entries.values(), key=_dispensable), "overflow")
 
     def cancel(self, match: Callable[[Outgoing], bool], *, started: bool = True) -> None:
         """Drop every message that ``match`` names; without ``started`` only those of which nothing was sent."""
@@ -206,6 +202,11 @@ class SendQueue:
         if len(self._deadlines) > bound:
             self._deadlines = [item for item in self._deadlines if item[1] in self._entries]
             heapq.heapify(self._deadlines)
+
+
+def _dispensable(entry: Entry) -> tuple[bool, bool, Rank]:
+    """The larger, the sooner a message is dropped for want of room."""
+    return not isinstance(entry.outgoing.message, Blob), not entry.started, entry.rank
 
 
 def _class_of(outgoing: Outgoing) -> int:
