@@ -20,6 +20,7 @@ from cags_common.correction import Look
 from cags_common.geometry import Camera, Pose
 from cags_common.raster import Footprint, RenderOptions, create
 from cags_common.splats import Splats
+from cags_common.words import counted
 from cags_encoder.scenes import FrameSource, open_scene
 from cags_gpu.raster import GpuScene
 
@@ -89,7 +90,7 @@ def reference_checks(lines: list[Line]) -> list[Line]:
     many = [x for x in lines if x["case"] == "references" and x["clients"] == clients and not x["moving"]]
     return [
         check(
-            f"references a second for {clients} clients, {x['servers']} server{'s' * (x['servers'] > 1)}",
+            f"references a second for {clients} clients, {counted(x['servers'], 'server')}",
             f">= {clients * rate}",
             x["a_second"],
             x["a_second"] >= clients * rate,

@@ -104,7 +104,7 @@ def check_save(spec: str) -> None:
 
 
 def check_picture_folder(flag: str, folder: Path) -> None:
-    """Raises :class:`ConfigError` where ``folder`` is none, or holds anything: a bundle, say, or another play."""
+    """Raises :class:`ConfigError` where ``folder`` is a file, or holds anything: a bundle, or another play."""
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"{flag} {folder}: is no folder; give the name of a new one")
     found = sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
