@@ -29,15 +29,20 @@ def cloud(n: int, seed: int = 0, sh_degree: int = 0) -> Splats:
 def books(
     layer_bits: tuple[int, ...] = (4, 2, 2), seed: int = 0, attributes: tuple[str, ...] | None = None
 ) -> CodebookSet:
-    """Codebooks of random values; SH degree 0 unless ``attributes`` are given."""
+    """Codebooks of random values on steps; SH degree 0 unless ``attributes`` are given."""
     random = np.random.default_rng(seed)
     names = attributes or ("scale", "rotation_real", "rotation_imag", "opacity", "sh0")
 
     def tables(dim: int) -> tuple[np.ndarray, ...]:
         sizes = np.cumsum(layer_bits)
-        return tuple(random.normal(size=(1 << int(bits), dim)).astype(np.float32) for bits in sizes)
+        return tuple(on_a_grid(random.normal(size=(1 << int(bits), dim))) for bits in sizes)
 
     return CodebookSet({name: Codebook(name, layer_bits, tables(ATTRIBUTE_DIMS[name])) for name in names})
+
+
+def on_a_grid(values: np.ndarray) -> np.ndarray:
+    """Values below 16 as float32, rounded to steps that a codebook can hold."""
+    return (np.rint(values * 1024) / 1024).astype(np.float32)
 
 
 def with_changes(splats: Splats, **arrays: np.ndarray) -> Splats:

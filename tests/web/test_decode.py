@@ -21,7 +21,7 @@ DAMAGED = 400
 
 
 def test_tiles_and_updates_of_the_recorded_bundle_at_every_recorded_level(tmp_path: Path) -> None:
-    bundle = json.loads((VECTORS / "bundle" / "v7.json").read_text())
+    bundle = json.loads((VECTORS / "bundle" / "v8.json").read_text())
     base = CodebookSet.from_bytes(base64.b64decode(bundle["codebooks"])).base.to_bytes()
     bundle["base_codebooks"] = _text(base)
     run_tests("decode", tmp_path, bundle=bundle, chunks=_chunks(), bytes=_bytes())

@@ -16,10 +16,11 @@ from itertools import accumulate
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cags_common.coding.packing import U32, gunzip_bounded, gzip_bytes
+from cags_common.coding.packing import U32, gunzip_bounded, gzip_numbers
 from cags_common.errors import DecodeError
-from cags_common.geometry import F32
+from cags_common.geometry import F32, F64
 from cags_common.tiles.attributes import ATTRIBUTE_DIMS, SH_REST_ATTRIBUTES
 
 MAX_BASE_BITS = 8
@@ -32,9 +33,13 @@ MAX_STAGE_BITS = 16
 MAX_CODEBOOK_BYTES = 16 * 2**20
 """Bound on the unpacked codebooks of a bundle."""
 
-_MAGIC = b"CAGSCB01"
-_HALF = 1
-"""Flag: values are float16."""
+MAX_STEPS = 2**15 - 1
+"""Most steps between an entry of a table and its parent."""
+
+MAX_EXPONENT = 100
+"""Steps of tables are powers of two from 2**-100 to 2**100."""
+
+_MAGIC = b"CAGSCB02"
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,9 +175,13 @@ class CodebookSet:
         self._books = other._books
 
     def to_bytes(self) -> bytes:
-        """Serialise; equal codebooks give equal bytes."""
+        """Serialise; equal codebooks give equal bytes.
+
+        Raises :class:`ValueError` for tables whose entries are not whole numbers of steps, the same power of two for a
+        column, from their parents: up to ``MAX_STEPS``, and exact as float32.
+        """
         body = b"".join([struct.pack("<B", len(self._books)), *(_book_bytes(book) for book in self)])
-        return _MAGIC + gzip_bytes(body)
+        return _MAGIC + gzip_numbers(body)
 
     @staticmethod
     def from_bytes(data: bytes | memoryview) -> CodebookSet:
@@ -212,57 +221,88 @@ class _Cursor:
 
 
 def _book_bytes(book: Codebook) -> bytes:
-    """Attribute index, flags, layers of both stages, bits, tables, spreads.
+    """Attribute index, layers of both stages, bits, tables, spreads.
 
-    A table is a mask of the entries that differ from their parent's value, and those values.
+    A table is a power of two for each column and, in units of it, what its entries differ from their parents by.
     """
-    arrays = [*book.tables] if book.spreads is None else [*book.tables, book.spreads]
-    half = all(np.array_equal(array.astype(np.float16), array) for array in arrays)
     index = list(ATTRIBUTE_DIMS).index(book.attribute)
-    head = bytes([index, _HALF * half, book.first_stage, len(book.layer_bits) - book.first_stage, *book.layer_bits])
-    kind = "<f2" if half else "<f4"
-    parts = [head]
+    parts = [bytes([index, book.first_stage, len(book.layer_bits) - book.first_stage, *book.layer_bits])]
     for layer, (bits, table) in enumerate(zip(book.layer_bits, book.tables, strict=True)):
         root = layer in (0, book.first_stage)
         parents = np.zeros((1, book.dim), np.float32) if root else book.tables[layer - 1]
-        fresh = (table != np.repeat(parents, 1 << bits, axis=0)).any(axis=1)
-        parts += [np.packbits(fresh, bitorder="little").tobytes(), table[fresh].astype(kind).tobytes()]
+        parts.append(_table_bytes(book.attribute, table, np.repeat(parents, 1 << bits, axis=0)))
     if book.spreads is not None:
-        parts.append(book.spreads.astype(kind).tobytes())
+        parts.append(_spread_bytes(book.attribute, book.spreads))
     return b"".join(parts)
 
 
+def _table_bytes(attribute: str, table: F32, parents: F32) -> bytes:
+    away = table.astype(np.float64) - parents
+    exponents = np.array([_common_exponent(column) for column in away.T], np.int8)
+    counts = np.rint(np.ldexp(away, -exponents.astype(np.int32))).astype(np.int64)
+    if np.abs(counts).max() > MAX_STEPS or not np.array_equal(_stepped(parents, counts, exponents), table):
+        raise ValueError(f"codebook {attribute!r}: a table is not on steps from its parents")
+    folded = np.where(counts < 0, -2 * counts - 1, 2 * counts).astype("<u2")
+    return exponents.tobytes() + folded.view(np.uint8).reshape(-1, 2).T.tobytes()
+
+
+def _common_exponent(values: F64) -> int:
+    """Exponent of the largest power of two of which all ``values`` [n] are multiples, if they have 15 bits at most."""
+    largest = float(np.abs(values).max())
+    if largest == 0:
+        return 0
+    finest = max(int(np.frexp(largest)[1]) - 15, -MAX_EXPONENT)
+    counts = np.rint(np.ldexp(values, -finest)).astype(np.int64)
+    together = int(np.bitwise_or.reduce(np.abs(counts)))
+    return min(finest + (together & -together).bit_length() - 1, MAX_EXPONENT)
+
+
+def _stepped(parents: F32, counts: NDArray[Any], exponents: NDArray[np.int8]) -> F32:
+    """Entries [n, dim] that are ``counts`` steps of 2**exponents [dim] away from their parents [n, dim]."""
+    with np.errstate(over="ignore"):  # of hostile codebooks, which are refused
+        return parents + np.ldexp(counts.astype(np.float32), exponents.astype(np.int32))
+
+
+def _spread_bytes(attribute: str, spreads: F32) -> bytes:
+    """Spreads as float16 without sign and without the last seven bits of the fraction."""
+    with np.errstate(over="ignore"):
+        halves = spreads.astype(np.float16)
+    words = halves.view(np.uint16)
+    if not np.array_equal(halves, spreads) or (words & ~np.uint16(0x7F80)).any():
+        raise ValueError(f"codebook {attribute!r}: spreads have more bits than are written")
+    return (words >> 7).astype(np.uint8).tobytes()
+
+
 def _read_book(body: _Cursor) -> Codebook:
-    index, flags, tree, above = body.byte(), body.byte(), body.byte(), body.byte()
-    if index >= len(ATTRIBUTE_DIMS) or flags & ~_HALF:
-        raise DecodeError(f"codebooks: attribute number {index} with flags {flags} is unknown")
+    index, tree, above = body.byte(), body.byte(), body.byte()
+    if index >= len(ATTRIBUTE_DIMS):
+        raise DecodeError(f"codebooks: attribute number {index} is unknown")
     attribute = list(ATTRIBUTE_DIMS)[index]
     layer_bits = tuple(body.take(tree + above))
     stages = layer_bits[:tree], layer_bits[tree:]
     if not tree or 0 in layer_bits or layer_bits[0] > MAX_BASE_BITS or max(map(sum, stages)) > MAX_STAGE_BITS:
         raise DecodeError(f"codebook {attribute!r}: layers of {layer_bits} bits are outside the allowed range")
-    kind = np.dtype("<f2" if flags & _HALF else "<f4")
-    tables = tuple(table for stage in stages for table in _read_stage(body, stage, attribute, kind))
+    tables = tuple(table for stage in stages for table in _read_stage(body, stage, attribute))
     if not above:
         return Codebook(attribute, layer_bits, tables)
-    leaves = 1 << sum(stages[0])
-    spreads = _read_values(body, leaves, attribute, kind)
-    return Codebook(attribute, layer_bits, tables, tree, spreads)
+    words = np.frombuffer(body.take(ATTRIBUTE_DIMS[attribute] << sum(stages[0])), np.uint8).astype(np.uint16) << 7
+    spreads = words.view(np.float16).reshape(-1, ATTRIBUTE_DIMS[attribute]).astype(np.float32)
+    return Codebook(attribute, layer_bits, tables, tree, _finite(spreads, attribute))
 
 
-def _read_stage(body: _Cursor, layer_bits: tuple[int, ...], attribute: str, kind: np.dtype[Any]) -> Iterator[F32]:
-    table = np.zeros((1, ATTRIBUTE_DIMS[attribute]), np.float32)
+def _read_stage(body: _Cursor, layer_bits: tuple[int, ...], attribute: str) -> Iterator[F32]:
+    dim = ATTRIBUTE_DIMS[attribute]
+    table = np.zeros((1, dim), np.float32)
     for bits in layer_bits:
-        table = np.repeat(table, 1 << bits, axis=0)
-        mask = np.frombuffer(body.take((len(table) + 7) // 8), np.uint8)
-        fresh = np.unpackbits(mask, count=len(table), bitorder="little").astype(bool)
-        table[fresh] = _read_values(body, int(fresh.sum()), attribute, kind)
+        parents = np.repeat(table, 1 << bits, axis=0)
+        exponents = np.frombuffer(body.take(dim), np.int8)
+        planes = np.frombuffer(body.take(2 * parents.size), np.uint8).reshape(2, *parents.shape).astype(np.int32)
+        folded = planes[0] | planes[1] << 8
+        table = _finite(_stepped(parents, (folded >> 1) ^ -(folded & 1), exponents), attribute)
         yield table
 
 
-def _read_values(body: _Cursor, rows: int, attribute: str, kind: np.dtype[Any]) -> F32:
-    dim = ATTRIBUTE_DIMS[attribute]
-    values = np.frombuffer(body.take(kind.itemsize * rows * dim), kind).reshape(rows, dim).astype(np.float32)
+def _finite(values: F32, attribute: str) -> F32:
     if not np.isfinite(values).all():
         raise DecodeError(f"codebook {attribute!r}: holds a value that is not finite")
     return values

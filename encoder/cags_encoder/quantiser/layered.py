@@ -11,6 +11,7 @@ from cags_common.tiles.svq import Codebook
 from cags_encoder.quantiser.configs import AttributeQuantiser, QuantiserConfig
 from cags_encoder.quantiser.kmeans import NearestCentre
 from cags_encoder.quantiser.printed import layers_of
+from cags_encoder.quantiser.rounding import on_steps, rounded_spreads
 from cags_encoder.quantiser.splitting import cell_spreads, halving_tree, split_tree
 
 REFINE_LIMIT = 4.0
@@ -20,25 +21,26 @@ REFINE_LIMIT = 4.0
 class LayeredEncoder:
     """Trains and assigns one attribute's codes.
 
-    Tables are rounded to float16 and codes are found with the rounded tables, which the decoder uses.
+    Codes are found with the rounded tables, which the decoder uses.
     """
 
     def __init__(self, values: F32, weights: F64, attribute: AttributeQuantiser, config: QuantiserConfig) -> None:
         self._attribute = attribute
         points = attribute.to_space(values).astype(np.float64)
         means, cells = _tree(points, weights, attribute.tree_bits, config.base_bits)
-        depth = len(means) - 1
-        layers = layers_of(depth, config)
-        tables = [_half(means[bits]) for bits in np.cumsum(layers)]
+        layers = layers_of(len(means) - 1, config)
+        tables = _tables(points, weights, means, cells, layers)
         more = attribute.refine_bits if not np.allclose(points, means[-1][cells], rtol=1e-6, atol=1e-9) else 0
         spreads = None
         refine: tuple[int, ...] = ()
         if more:
-            spreads = np.maximum(_half(cell_spreads(points, weights, cells, tables[-1].astype(np.float64))), _TINY)
-            offsets = np.clip((points - tables[-1][cells]) / spreads[cells], -REFINE_LIMIT, REFINE_LIMIT)
-            finer, _ = split_tree(offsets, weights * np.square(spreads[cells]).mean(axis=1), more)
+            leaves = tables[-1].astype(np.float64)
+            spreads = rounded_spreads(cell_spreads(points, weights, cells, leaves))
+            offsets = np.clip((points - leaves[cells]) / spreads[cells], -REFINE_LIMIT, REFINE_LIMIT)
+            shares = weights * np.square(spreads[cells]).mean(axis=1)
+            finer, below = split_tree(offsets, shares, more)
             refine = _chunks(more, config.layer_bits)
-            tables += [_half(finer[bits]) for bits in np.cumsum(refine)]
+            tables += _tables(offsets, shares, finer, below, refine)
         self.book = Codebook(attribute.attribute, layers + refine, tuple(tables), len(layers), spreads)
         self._leaves = NearestCentre(tables[len(layers) - 1])
         self._offsets = NearestCentre(tables[-1]) if more else None
@@ -55,13 +57,19 @@ class LayeredEncoder:
         return ((leaves << below) | self._offsets(offsets)).astype(np.uint32)
 
 
-_TINY = np.float32(2.0**-14)
-"""Smallest spread: the smallest normal float16."""
+def _tables(
+    points: F64, weights: F64, means: list[F64], cells: NDArray[np.int64], layers: tuple[int, ...]
+) -> list[F32]:
+    """Rows of codes that end after each layer; ``means`` are those of every level, ``cells`` the last one's."""
+    depths = np.cumsum(layers)
+    left = [_deviations(points, weights, means[depth][cells >> (depths[-1] - depth)]) for depth in depths]
+    return on_steps([means[depth] for depth in depths], left)
 
 
-def _half(values: F64) -> F32:
-    """Rounded to float16, within its range."""
-    return np.clip(values, -6e4, 6e4).astype(np.float16).astype(np.float32)
+def _deviations(points: F64, weights: F64, centres: F64) -> F64:
+    """Weighted root mean square [dim] of what ``centres`` [n, dim] leave of ``points`` [n, dim]."""
+    left: F64 = np.sqrt(np.average(np.square(points - centres), axis=0, weights=weights))
+    return left
 
 
 def _tree(points: F64, weights: F64, bits: int, base_bits: int) -> tuple[list[F64], NDArray[np.int64]]:

@@ -11,6 +11,7 @@ from cags_common.tiles.svq import Codebook
 from cags_encoder.quantiser.configs import AttributeQuantiser, QuantiserConfig
 from cags_encoder.quantiser.kmeans import NearestCentre, kmeans
 from cags_encoder.quantiser.merging import merge_as_printed
+from cags_encoder.quantiser.rounding import on_steps
 from cags_encoder.quantiser.tree import Node, assign_codes, code_length
 
 MERGE_SAMPLES = 16_384
@@ -35,7 +36,10 @@ class PrintedEncoder:
         roots = _roots(points, labels, centres[used], config)
         layers = layers_of(code_length(roots, config.base_bits, attribute.tree_bits + SLACK_BITS), config)
         coded = assign_codes(roots, means, weights, layers)
-        self.book = Codebook(attribute.attribute, layers, tuple(attribute.from_space(t) for t in coded.tables))
+        tables = [attribute.from_space(table).astype(np.float64) for table in coded.tables]
+        raw, codes, depths = attribute.from_space(points), coded.codes[labels], np.cumsum(layers)
+        left = [(raw - table[codes >> (depths[-1] - d)]).std(axis=0) for table, d in zip(tables, depths, strict=True)]
+        self.book = Codebook(attribute.attribute, layers, tuple(on_steps(tables, left)))
         self._nearest, self._codes = NearestCentre(means.astype(np.float32)), coded.codes
 
     def encode(self, values: F32) -> U32:

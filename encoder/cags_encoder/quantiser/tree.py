@@ -77,11 +77,12 @@ def assign_codes(roots: list[Node], centres: F64, weights: F64, layer_bits: tupl
     ``centres`` [leaves, dim] and ``weights`` [leaves] (numbers of samples) belong to the leaves. The value of an inner
     node is the mean of the samples below it. A node whose subtree is too deep for the remaining bits is cut in the
     middle of its leaves, which keeps similar leaves together. Leaves that end early are repeated at the levels below.
+    Codes that nothing has stand for the mean of all.
     """
-    total, dim = sum(layer_bits), centres.shape[1]
+    total, everything = sum(layer_bits), _mean(centres, weights, list(range(len(weights))))
     codes = np.zeros(len(weights), np.uint32)
     depths = [0, *np.cumsum(layer_bits).tolist()]
-    levels = {depth: np.zeros((1 << depth, dim)) for depth in depths[1:]}
+    levels = {depth: np.tile(everything, (1 << depth, 1)) for depth in depths[1:]}
     for base, root in enumerate(roots):
         for prefix, depth, below in _walk(root, base, layer_bits[0], total):
             if len(below) == 1:

@@ -117,7 +117,7 @@ def test_constant_attributes_and_few_splats_are_exact(n: int) -> None:
         if n <= 17:
             values = split_attributes(splats)
             for name, value in decoded.items():
-                assert np.allclose(value, values[name], atol=1e-5), name
+                assert np.allclose(value, values[name], atol=2e-4), name  # entries have 15 bits
     assert all(book.layer_bits == (4,) for book in quantiser.books), "one value needs no enhancement layer"
 
 

@@ -38,7 +38,7 @@ POSITION_LAYERS = {True: 3, False: 2}
 
 
 def books() -> CodebookSet:
-    """Two-stage and one-stage trees over simple fractions, exact as float16."""
+    """Two-stage and one-stage trees over simple fractions."""
     random = np.random.default_rng(1)
 
     def table(bits: int, attribute: str) -> np.ndarray:
@@ -47,7 +47,9 @@ def books() -> CodebookSet:
     made = {}
     for name, (first, second) in STAGES.items():
         tables = tuple(table(int(bits), name) for stage in (first, second) for bits in np.cumsum(stage))
-        spreads = np.abs(table(sum(first), name)) if second else None
+        shape = (1 << sum(first), ATTRIBUTE_DIMS[name])
+        words = random.integers(0, 31 << 3, shape).astype(np.uint16) << 7  # every positive float16 of 3 bits
+        spreads = words.view(np.float16).astype(np.float32) if second else None
         made[name] = Codebook(name, first + second, tables, len(first), spreads)
     return CodebookSet(made)
 

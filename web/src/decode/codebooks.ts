@@ -3,8 +3,7 @@ import { DecodeError } from "../bytes/errors.ts";
 import { gunzip } from "../bytes/inflate.ts";
 import { ATTRIBUTE_DIMS } from "./splats.ts";
 
-const MAGIC = "CAGSCB01";
-const HALF = 1;
+const MAGIC = "CAGSCB02";
 const MAX_BASE_BITS = 8;
 export const MAX_LAYER_BITS = 8;
 const MAX_STAGE_BITS = 16;
@@ -105,55 +104,53 @@ export function readCodebooks(data: Uint8Array): Map<string, Codebook> {
 }
 
 function readBook(body: Cursor): Codebook {
-  const [index, flags, tree, above] = [body.byte(), body.byte(), body.byte(), body.byte()];
+  const [index, tree, above] = [body.byte(), body.byte(), body.byte()];
   const attribute = ATTRIBUTES[index];
-  if (attribute === undefined || flags & ~HALF) {
-    throw new DecodeError(`codebooks: attribute number ${index} with flags ${flags} is unknown`);
-  }
+  if (attribute === undefined) throw new DecodeError(`codebooks: attribute number ${index} is unknown`);
   const bits = [...body.take(tree + above)];
   const stages = [bits.slice(0, tree), bits.slice(tree)];
   const sums = stages.map((stage) => stage.reduce((a, b) => a + b, 0));
   if (!tree || bits.includes(0) || bits[0]! > MAX_BASE_BITS || Math.max(...sums) > MAX_STAGE_BITS) outside(attribute, bits);
-  const half = (flags & HALF) > 0;
-  const tables = stages.flatMap((stage) => readStage(body, stage, attribute, half));
+  const tables = stages.flatMap((stage) => readStage(body, stage, attribute));
   if (!above) return new Codebook(attribute, bits, tables, bits.length);
-  return new Codebook(attribute, bits, tables, tree, readValues(body, 2 ** sums[0]!, attribute, half));
+  return new Codebook(attribute, bits, tables, tree, readSpreads(body, 2 ** sums[0]!, attribute));
 }
 
-function readStage(body: Cursor, layerBits: number[], attribute: string, half: boolean): Float32Array[] {
+/** Tables of one tree: whole numbers of steps, a power of two for each column, from what the parents hold. */
+function readStage(body: Cursor, layerBits: number[], attribute: string): Float32Array[] {
   const dim = ATTRIBUTE_DIMS.get(attribute)!;
   const tables: Float32Array[] = [];
-  let table = new Float32Array(dim);
+  let parents = new Float32Array(dim);
   for (const bits of layerBits) {
-    const rows = (table.length / dim) << bits;
-    const wider = new Float32Array(rows * dim);
-    for (let row = 0; row < rows; row++) wider.set(table.subarray((row >> bits) * dim, ((row >> bits) + 1) * dim), row * dim);
-    const mask = body.take((rows + 7) >> 3);
-    const fresh: number[] = [];
-    for (let row = 0; row < rows; row++) if ((mask[row >> 3]! >> (row & 7)) & 1) fresh.push(row);
-    const values = readValues(body, fresh.length, attribute, half);
-    fresh.forEach((row, i) => wider.set(values.subarray(i * dim, (i + 1) * dim), row * dim));
-    tables.push((table = wider));
+    const count = parents.length << bits;
+    const steps = Float64Array.from(body.take(dim), (byte) => 2 ** ((byte << 24) >> 24));
+    const [low, high] = [body.take(count), body.take(count)];
+    const table = new Float32Array(count);
+    for (let i = 0; i < count; i++) {
+      const folded = low[i]! | (high[i]! << 8);
+      const away = Math.fround(((folded >> 1) ^ -(folded & 1)) * steps[i % dim]!);
+      table[i] = parents[(Math.floor(i / dim) >> bits) * dim + (i % dim)]! + away;
+    }
+    tables.push((parents = finite(table, attribute)));
   }
   return tables;
 }
 
-function readValues(body: Cursor, rows: number, attribute: string, half: boolean): Float32Array {
-  const count = rows * ATTRIBUTE_DIMS.get(attribute)!;
-  const bytes = body.take(count * (half ? 2 : 4));
-  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.length);
-  const out = new Float32Array(count);
-  for (let i = 0; i < count; i++) out[i] = half ? halfFloat(view.getUint16(2 * i, true)) : view.getFloat32(4 * i, true);
-  if (!out.every(Number.isFinite)) throw new DecodeError(`codebook '${attribute}': holds a value that is not finite`);
-  return out;
+/** Float16 without sign and without the last seven bits of the fraction. */
+function readSpreads(body: Cursor, rows: number, attribute: string): Float32Array {
+  const bytes = body.take(rows * ATTRIBUTE_DIMS.get(attribute)!);
+  return finite(Float32Array.from(bytes, spread), attribute);
 }
 
-function halfFloat(word: number): number {
-  const sign = word & 0x8000 ? -1 : 1;
-  const exponent = (word >> 10) & 31;
-  const fraction = word & 1023;
-  if (exponent === 31) return fraction ? NaN : sign * Infinity;
-  return sign * (exponent ? 2 ** (exponent - 25) * (1024 + fraction) : 2 ** -24 * fraction);
+function spread(byte: number): number {
+  const [exponent, fraction] = [byte >> 3, byte & 7];
+  if (exponent === 31) return Infinity;
+  return exponent ? 2 ** (exponent - 18) * (8 + fraction) : 2 ** -17 * fraction;
+}
+
+function finite<A extends Float32Array>(values: A, attribute: string): A {
+  if (!values.every(Number.isFinite)) throw new DecodeError(`codebook '${attribute}': holds a value that is not finite`);
+  return values;
 }
 
 /** Reads bytes in order and never past the end. */
