@@ -26,7 +26,7 @@ class DecodeQueue:
         self._tile_bytes = self._reference_bytes = 0
         self._waiting_bytes = self._decoding_bytes = 0
         self.quiet = True
-        """Whether nothing has come since :meth:`traffic` was asked last."""
+        """Whether nothing has come, and nothing been decoded, since :meth:`traffic` was asked last."""
 
     @property
     def undecoded_bytes(self) -> int:
@@ -60,7 +60,8 @@ class DecodeQueue:
         return self.decoding
 
     def decoded(self) -> None:
-        """The batch that was out is in the store."""
+        """The batch that was out is in the store: a picture begun before shows it not, or in part."""
+        self.quiet = self.quiet and not self.decoding
         self.decoding = ()
         self._decoding_bytes = 0
 

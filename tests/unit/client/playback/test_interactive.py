@@ -189,6 +189,20 @@ def test_a_paused_frame_is_drawn_again_only_when_there_is_something_new(stage: S
     assert stage.run(DELAY_US + 3 * FRAME_US + 10_000)[:2] == [held, held + 1]
 
 
+def test_a_paused_picture_begun_while_the_last_batch_is_decoded_is_followed_by_one_that_shows_it(stage: Stage) -> None:
+    stage.run(DELAY_US + 10 * FRAME_US)
+    stage.player.pause(stage.now_us)
+    stage.run(500_000)
+    stage.player._decode_queue.add(TILE)
+    batch = stage.player.next_action(stage.now_us)
+    assert isinstance(batch, Decode)
+    held = stage.player.frame
+    assert stage.run(100_000) == [held], "drawn beside its decoding"
+    stage.player.done(batch, DecodeResult((), False, -1), stage.now_us)
+    assert stage.run(100_000) == [held]
+    assert stage.run(500_000) == []
+
+
 def test_a_seek_waits_for_work_under_way_and_then_for_its_frame(stage: Stage) -> None:
     stage.run(DELAY_US + 5 * FRAME_US)
     stage.player._decode_queue.add(TILE)
