@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from cags_encoder.formats import write_splats
+from support.browser import chromium
 from support.capture import three_balls
 from support.small_bundles import small_bundle
-from support.web_page import Page, Server, page, require_page, served
+from support.web_page import Page, Server, page, require_built, require_page, served
 
 VIEW = {
     "title": "Three balls",
@@ -121,3 +122,24 @@ def test_a_scene_that_is_not_there_is_said(tmp_path: Path, server: Server) -> No
         viewer.browser.find_element("link text", "All scenes").click()
         viewer.until_true(lambda: viewer.browser.find_elements("css selector", "#scenes a h2"), "the list")
         viewer.complaints()
+
+
+@pytest.mark.slow
+def test_a_token_in_the_address_opens_the_list_and_goes_with_the_visitor_to_a_scene_and_back(tmp_path: Path) -> None:
+    require_built()
+    scenes = tmp_path / "scenes"
+    scenes.mkdir()
+    small_bundle(scenes / "balls.cags")
+    with (
+        served(scenes, tmp_path / "server", "--token", "open sesame", *SMALL) as server,
+        chromium(tmp_path / "profile") as browser,
+    ):
+        viewer = Page(browser)
+        browser.get(server.url)
+        viewer.until_true(lambda: "asks for a token" in viewer.words, "the question for a token", 60)
+        browser.execute_script("location.hash = 'token=open+sesame'")
+        cards = viewer.until_true(lambda: browser.find_elements("css selector", "#scenes a"), "the list", 60)
+        cards[0].click()
+        viewer.until_true(lambda: "scene=balls" in browser.current_url, "the scene's page", 60)
+        browser.find_element("id", "scenes").click()
+        viewer.until_true(lambda: browser.find_elements("css selector", "#scenes a h2"), "the list again", 60)

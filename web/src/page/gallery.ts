@@ -4,7 +4,7 @@ import "./gallery.css";
 import { headingsOf } from "./author.ts";
 import { the } from "./dom.ts";
 import { lasts, size } from "./facts.ts";
-import { bearer, placeOf } from "./place.ts";
+import { bearer, placeOf, tokenHash } from "./place.ts";
 import { Uploads } from "./uploads.ts";
 
 interface Entry {
@@ -48,7 +48,7 @@ async function show(): Promise<void> {
 function card({ name, seconds, frames, bytes }: Entry, title: string): HTMLLIElement {
   const [item, link, picture, heading, facts] = [make("li"), make("a"), make("img"), make("h2"), make("p")];
   const scene = new URLSearchParams({ scene: name });
-  link.href = `?${scene}${token ? `#${new URLSearchParams({ token })}` : ""}`;
+  link.href = `?${scene}${tokenHash(token)}`;
   picture.alt = "";
   picture.width = 480;
   picture.height = 300;
@@ -85,6 +85,10 @@ function make<K extends keyof HTMLElementTagNameMap>(name: K): HTMLElementTagNam
 the<HTMLFormElement>("token").addEventListener("submit", (event) => {
   event.preventDefault();
   token = the<HTMLInputElement>("token-text").value;
+  void show();
+});
+addEventListener("hashchange", () => {
+  token = placeOf(location.hash).token ?? token;
   void show();
 });
 void show();

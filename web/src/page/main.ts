@@ -12,7 +12,7 @@ import { DrawnShow } from "./drawn.ts";
 import * as embed from "./embed.ts";
 import { Inspector } from "./inspector.ts";
 import { Messages } from "./messages.ts";
-import { hashOf, type Left, leave, movedTo, type Place, placeOf, sceneOf, taken } from "./place.ts";
+import { hashOf, type Left, leave, movedTo, type Place, placeOf, sceneOf, taken, tokenHash } from "./place.ts";
 import type { Host, Playing, Show } from "./show.ts";
 import type { Angles } from "./view.ts";
 
@@ -33,7 +33,6 @@ class Viewer implements Host {
   readonly canvas = the<HTMLCanvasElement>("picture");
   camera: ViewCamera | null = null;
   angles: Angles = { tanX: 1, tanY: 1 };
-  place: Place;
   /** Whether the page before reloaded itself as this one. */
   readonly #again: boolean;
   /** Why only a reloaded page can draw; empty while this one can. */
@@ -45,6 +44,7 @@ class Viewer implements Host {
   readonly #inspector = new Inspector(the("figures"));
   readonly #gestures: Gestures;
   #scene: Opened | undefined;
+  #place: Place = {};
   #film: Film | null = null;
   #toldMs = 0;
   #there = false; // a picture of the newest play
@@ -78,6 +78,16 @@ class Viewer implements Host {
       requestAnimationFrame(tick);
     };
     requestAnimationFrame(tick);
+  }
+
+  get place(): Place {
+    return this.#place;
+  }
+
+  /** The list of scenes opens with the same token. */
+  set place(place: Place) {
+    this.#place = place;
+    for (const id of ["scenes", "all"]) the<HTMLAnchorElement>(id).href = `.${tokenHash(place.token)}`;
   }
 
   get player(): Playing | null {

@@ -37,6 +37,11 @@ export function bearer(token: string): string {
   return `Bearer ${String.fromCharCode(...new TextEncoder().encode(token))}`;
 }
 
+/** The # of an address on this server that opens with `token`. */
+export function tokenHash(token: string | undefined): string {
+  return token ? `#${new URLSearchParams({ token })}` : "";
+}
+
 /** The address of `path` beside the page, for the scene that the page shows. */
 export function beside(path: string): URL {
   const url = new URL(path, location.href);
