@@ -58,7 +58,7 @@ class InteractivePlayer(Player):
         if self.frame >= self._last_frame:
             self._tell("play", self.frame, now_us, now_us)
             self.seek(0)
-        else:
+        elif self._awaited is None:  # else the server would play on meanwhile: it is told when what was sought is there
             self._tell("play", self.frame, now_us + self.settings.start_delay_ms * 1000, now_us)
 
     def seek(self, frame: int) -> None:

@@ -186,6 +186,8 @@ export class Player {
     this.playing = true;
     if (this.#startedUs === null || !this.info) return;
     const last = this.frame >= this.info.frames - 1;
+    const sought = this.#awaited !== null && this.#awaited.stalledUs === undefined;
+    if (sought && !last) return; // the source would play on meanwhile: it is told when that frame is there
     this.#tell("play", this.frame, nowUs() + (last ? 0 : START_DELAY_US));
     if (last) this.seek(0);
   }

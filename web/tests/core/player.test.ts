@@ -18,12 +18,13 @@ class Source implements SceneSource {
   readonly told: PlayState[] = [];
   readonly asked: FrameRequest[] = [];
   closed = 0;
+  kept = true;
   connect(): void {}
   control(state: PlayState): void {
     this.told.push(state);
   }
   keeps(): boolean {
-    return true;
+    return this.kept;
   }
   sendPoses(): void {}
   requestKeyframe(): void {}
@@ -158,6 +159,23 @@ test("pausing and seeking while data is waited for", async () => {
   page.whole(...upTo(FRAMES, 10));
   await page.until("the place", () => page.player.shown?.frame === 30);
   assert.equal(page.player.stalls, 1);
+});
+
+test("who asks to play while a frame is sought sees that frame first", async () => {
+  const page = new Page(false);
+  page.whole(0);
+  await page.until("a frame", () => (page.player.shown?.frame ?? 0) >= 5);
+  page.player.pause();
+  page.source.kept = false;
+  page.player.seek(30);
+  await page.until("the jump", () => page.actions.at(-1) === "seek");
+  page.player.play();
+  assert.equal(page.actions.at(-1), "seek", "the source holds there");
+  page.player.handle({ type: "flushed" });
+  page.whole(30);
+  assert.equal(page.actions.at(-1), "play");
+  assert.equal(page.source.told.at(-1)!.frame, 30);
+  await page.until("the play", () => page.player.shown!.frame > 30);
 });
 
 test("nothing is drawn before there is a device with its shaders, and the server refines the first frame meanwhile", async () => {

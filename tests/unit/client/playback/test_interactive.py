@@ -240,6 +240,19 @@ def test_seeking_while_paused_shows_that_frame(stage: Stage) -> None:
     assert not stage.player.playing
 
 
+def test_who_asks_to_play_while_a_frame_is_sought_sees_that_frame_first(stage: Stage) -> None:
+    stage.run(DELAY_US + 5 * FRAME_US)
+    stage.player.pause(stage.now_us)
+    stage.player.seek(20)
+    stage.turn()
+    stage.player.play(stage.now_us)
+    stage.run(500_000)
+    assert stage.session.controls[-1].action == "seek", "the server holds there"
+    stage.end(20)
+    assert stage.session.controls[-1] == Control("play", 20, stage.now_us + DELAY_US, 1.0)
+    assert stage.run(DELAY_US + 2 * FRAME_US + 10_000)[:2] == [20, 21]
+
+
 def test_what_is_held_loops_without_a_break_and_without_a_word(stage: Stage) -> None:
     stage.pipeline.kept = True
     stage.player.set_rate(1.0, stage.now_us)
