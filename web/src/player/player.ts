@@ -366,7 +366,8 @@ export class Player {
     if (this.#awaited && now >= this.#awaited.untilUs) this.#goOn(now);
     if (this.#startedUs === null || (this.#awaited && !this.shown)) return this.#preview(now) ?? this.#redraw(now);
     if (this.#awaited) return this.#redraw(now);
-    if (!this.playing) return this.#news ? () => this.#present(this.frame, 0, false) : this.#redraw(now);
+    const stands = !this.playing || this.info!.frames === 1;
+    if (stands) return this.#news ? () => this.#present(this.frame, 0, false) : this.#redraw(now);
     if (this.#dueUs !== null && now >= this.#dueUs) return () => this.#presentDue(now);
     return this.#between(now);
   }
@@ -505,7 +506,10 @@ export class Player {
     const refines = this.playing && this.#wanted === null; // whoever goes elsewhere waits for no detail here
     if (this.#startedUs !== null || endsUs === undefined || (refines && now < endsUs)) return;
     this.#startedUs = now;
-    if (this.#startup.greeting) this.#references.reset(this.#startup.greeting);
+    if (this.#startup.greeting) {
+      this.#references.reset(this.#startup.greeting);
+      this.#news = true; // a still is not drawn anew by itself
+    }
     if (this.playing && !this.#rested) this.#tell("play", this.#startFrame, now + START_DELAY_US);
     else this.#tell("pause", this.#startFrame, now);
   }

@@ -253,6 +253,19 @@ test("the reference that greets is seen while the first frame is held, and forgo
   assert.ok(played[0]!.frame < 10, "nor to its first ones");
 });
 
+test("a still is drawn anew only where there is something new", async () => {
+  const page = new Page(true, Promise.resolve(), Promise.resolve(), { loop: true });
+  page.player.handle({ type: "info", info: { ...INFO, frames: 1, waits: true } as unknown as SceneInfo });
+  page.whole(0);
+  await page.until("a picture", () => page.player.pictures > 0);
+  const { pictures } = page.player;
+  const ends = nowUs() + 300_000;
+  await page.until("a while", () => nowUs() > ends);
+  assert.equal(page.player.pictures, pictures);
+  page.whole(0);
+  await page.until("another picture", () => page.player.pictures > pictures);
+});
+
 test("nothing is held of a scene that nobody refines", async () => {
   const page = new Page(true);
   page.whole(0);
