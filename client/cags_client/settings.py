@@ -125,3 +125,8 @@ class LiveSettings:
         self.resolution = settings.resolution
         self.depth_shown = False
         """Whether somebody looks at the depth picture; otherwise depth is drawn only if alignment needs it."""
+
+    @property
+    def wishes(self) -> tuple[str, ...]:
+        """What the viewer has chosen, by which one picture of the same splats differs from another."""
+        return self.restore, self.exactness, self.resolution

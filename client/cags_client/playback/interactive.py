@@ -36,7 +36,7 @@ class InteractivePlayer(Player):
         """The media frame on display."""
         self._wanted_frame: int | None = None
         self._awaited: tuple[int, int] | None = None
-        self._shown_pose: Pose | None = None
+        self._shown: tuple[Pose, tuple[str, ...]] | None = None  # of the newest picture: pose, and how it was drawn
         super().__init__(*arguments, **named)
         self.frame = self.settings.start_frame
 
@@ -179,7 +179,7 @@ class InteractivePlayer(Player):
 
     def _go_on(self, now_us: int) -> None:
         """The frame that was sought is there."""
-        self._awaited = self._shown_pose = None
+        self._awaited = self._shown = None
         if self.playing:
             self._tell("play", self.frame, now_us + self.settings.start_delay_ms * 1000, now_us)
         else:
@@ -201,15 +201,15 @@ class InteractivePlayer(Player):
     def _present(self, now_us: int) -> Present | None:  # type: ignore[override]
         if self.playing:
             action = super()._present(now_us)
-            self.frame, self._shown_pose = action.frame, action.pose
+            self.frame, self._shown = action.frame, (action.pose, self.live.wishes)
             return action
         assert self.info is not None
         assert self.pipeline is not None
         self._due_us = now_us + round(1e6 / self.info.fps)
         self._interpolation.cancel()
-        pose = self._viewpoint.pose_at(now_us)
-        if pose == self._shown_pose and self._decode_queue.quiet:
+        pose, wishes = self._viewpoint.pose_at(now_us), self.live.wishes
+        if (pose, wishes) == self._shown and self._decode_queue.quiet:
             return None
-        self._shown_pose, half = pose, self._begin(now_us)
+        self._shown, half = (pose, wishes), self._begin(now_us)
         traffic = self._decode_queue.traffic()
         return Present(self.frame, now_us, pose, self.pipeline, traffic, half=half, still=True)

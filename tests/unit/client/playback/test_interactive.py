@@ -189,6 +189,18 @@ def test_a_paused_frame_is_drawn_again_only_when_there_is_something_new(stage: S
     assert stage.run(DELAY_US + 3 * FRAME_US + 10_000)[:2] == [held, held + 1]
 
 
+def test_a_paused_frame_is_drawn_again_as_its_viewer_wishes(stage: Stage) -> None:
+    stage.run(DELAY_US + 10 * FRAME_US)
+    stage.player.pause(stage.now_us)
+    stage.run(500_000)
+    stage.player.live.restore = "none"
+    assert stage.run(500_000) == [stage.player.frame]
+    stage.player.live.exactness = "exact"
+    assert stage.run(500_000) == [stage.player.frame]
+    stage.player.live.resolution = "half"
+    assert stage.run(500_000) == [stage.player.frame]
+
+
 def test_a_paused_picture_begun_while_the_last_batch_is_decoded_is_followed_by_one_that_shows_it(stage: Stage) -> None:
     stage.run(DELAY_US + 10 * FRAME_US)
     stage.player.pause(stage.now_us)
