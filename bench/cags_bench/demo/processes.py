@@ -35,15 +35,18 @@ class Process:
         """
         line = _first_line(self.handle.stdout, READY_TIMEOUT_S)
         try:
-            message = json.loads(line)
+            message = json.loads(line or "")
         except json.JSONDecodeError:
             message = {}
         if not message.get("ready"):
-            raise NetworkError(f"{self.name} did not start: {self._why_silent()}")
+            raise NetworkError(f"{self.name} did not start: {self._why_silent(ended=line == '')}")
         return dict(message)
 
-    def _why_silent(self) -> str:
-        if self.handle.poll() is None:
+    def _why_silent(self, *, ended: bool) -> str:
+        if ended:  # its output has ended, and so will it, in a moment
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.handle.wait(STOP_TIMEOUT_S)
+        elif self.handle.poll() is None:
             return f"it said nothing for {READY_TIMEOUT_S:g} s; try again when this machine has less to do"
         return self.last_words()
 
@@ -99,8 +102,10 @@ class ProcessGroup:
         return process
 
 
-def _first_line(stream: IO[str] | None, timeout_s: float) -> str:
-    """The first line of a pipe. The others are read too, until it ends: a process blocks at a pipe that is full."""
+def _first_line(stream: IO[str] | None, timeout_s: float) -> str | None:
+    """The first line of a pipe: empty at its end, None if nothing comes in time. The others are read too, until it
+    ends: a process blocks at a pipe that is full.
+    """
     assert stream is not None
     lines: queue.Queue[str] = queue.Queue()
 
@@ -114,4 +119,4 @@ def _first_line(stream: IO[str] | None, timeout_s: float) -> str:
     try:
         return lines.get(timeout=timeout_s)
     except queue.Empty:
-        return ""
+        return None

@@ -24,15 +24,14 @@ def started(program: str, log: Path) -> Process:
     ("program", "why"),
     [
         ("import time; time.sleep(60)", "said nothing for 0.2 s; try again when this machine has less to do"),
-        ("import sys; sys.stdout.close(); sys.exit('no such scene')", "no such scene"),
+        ("import sys; sys.exit('no such scene')", "no such scene"),
+        ("import os, sys, time; os.close(1); time.sleep(0.5); sys.exit('no such scene')", "no such scene"),
     ],
 )
 def test_why_a_process_did_not_start(program: str, why: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ended = "exit" in program
     monkeypatch.setattr(processes, "READY_TIMEOUT_S", 30.0 if ended else 0.2)
     process = started(program, tmp_path / "log")
-    if ended:
-        process.handle.wait()
     try:
         with pytest.raises(NetworkError, match=f"role did not start: .*{why}"):
             process.ready()
