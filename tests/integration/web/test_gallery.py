@@ -119,9 +119,14 @@ def test_a_scene_that_is_not_there_is_said(tmp_path: Path, server: Server) -> No
     with page(tmp_path) as viewer:
         viewer.browser.get(f"{server.url}?scene=nowhere")
         viewer.until_true(lambda: "no scene 'nowhere' here" in viewer.words, "so it says")
+        assert light(viewer) == "nothing to show"
         viewer.browser.find_element("link text", "All scenes").click()
         viewer.until_true(lambda: viewer.browser.find_elements("css selector", "#scenes a h2"), "the list")
         viewer.complaints()
+
+
+def light(viewer: Page) -> str:
+    return str(viewer.ask("document.getElementById('light-text').textContent"))
 
 
 @pytest.mark.slow
@@ -135,6 +140,9 @@ def test_a_token_in_the_address_opens_the_list_and_goes_with_the_visitor_to_a_sc
         chromium(tmp_path / "profile") as browser,
     ):
         viewer = Page(browser)
+        browser.get(f"{server.url}?scene=balls")
+        viewer.until_true(lambda: "asks for a token" in viewer.words, "the question for a token", 60)
+        viewer.until_true(lambda: light(viewer) == "no token yet", "the light", 60)
         browser.get(server.url)
         viewer.until_true(lambda: "asks for a token" in viewer.words, "the question for a token", 60)
         browser.execute_script("location.hash = 'token=open+sesame'")

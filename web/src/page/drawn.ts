@@ -189,6 +189,7 @@ export class DrawnShow implements Show {
       return undefined;
     }
     if (answer.status === 401) {
+      this.#over = "no token yet";
       messages.askToken(place.token !== undefined);
       return undefined;
     }
@@ -267,6 +268,7 @@ export class DrawnShow implements Show {
   }
 
   #cannot(error: unknown): void {
+    this.#over = "nothing to show";
     const message = error instanceof Error ? error.message : String(error);
     if (error instanceof UnsupportedError) this.#host.failed("This browser cannot show the scene", message, "none");
     else if (error instanceof MissingError) this.#host.failed("The scene is not there", message, "scenes");
