@@ -36,11 +36,15 @@ def series(frames: Sequence[JsonObject], key: str) -> np.ndarray[Any, np.dtype[n
     return np.array([np.nan if frame.get(key) is None else float(frame[key]) for frame in frames])
 
 
-def capacity_series(trace: Any, seconds: float) -> tuple[list[float], list[float]]:
-    """The link's capacity over the session, in steps of 100 ms: (times in s, Mbps)."""
+def capacity_series(trace: Any, seconds: float, begin_us: int = 0) -> tuple[list[float], list[float]]:
+    """The link's capacity while frames are shown, in steps of 100 ms: (times in s, Mbps).
+
+    ``begin_us`` is the link's time when the first frame is due, at which the times begin.
+    """
     step_us = 100_000
     starts = range(0, int(seconds * 1e6) + step_us, step_us)
-    return [start / 1e6 for start in starts], [trace.mean_bps(start, start + step_us) / 1e6 for start in starts]
+    rates = [trace.mean_bps(begin_us + start, begin_us + start + step_us) / 1e6 for start in starts]
+    return [start / 1e6 for start in starts], rates
 
 
 def plot_stream(frames: Sequence[JsonObject], capacity: tuple[Any, Any] | None, path: Path) -> None:

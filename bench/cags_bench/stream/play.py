@@ -196,9 +196,9 @@ def write_report(out: Path, scenario: Scenario, result: SessionResult) -> None:
     from cags_bench.stream_report import capacity_series, plot_stream, telling_frame, write_strip
 
     (out / "frames.jsonl").write_text("".join(dump(line) + "\n" for line in result.frames), encoding="utf-8")
-    times_us = [line["time_us"] for line in result.frames]
+    times_us = [line["time_us"] for line in result.frames]  # since the link's beginning
     seconds = max((times_us[-1] - times_us[0]) / 1e6, 0.1)
-    plot_stream(result.frames, capacity_series(scenario.link(), seconds), out / "timeline.png")
+    plot_stream(result.frames, capacity_series(scenario.link(), seconds, times_us[0]), out / "timeline.png")
     chosen = telling_frame(result.frames)
     if chosen is not None:
         write_strip(out / "stages", chosen, out / "strip.png")

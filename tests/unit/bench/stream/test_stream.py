@@ -12,6 +12,7 @@ import av
 import cv2
 import pytest
 
+from cags_bench import stream_report
 from cags_bench.bundles import cached_bundle
 from cags_bench.cli import main
 from cags_bench.confidence import Interval, interval
@@ -291,6 +292,23 @@ def test_a_report_has_a_strip_of_twelve_frames_and_a_film_beside_the_truth(
     frames = list(recorded(film))
     assert len(frames) == FRAMES
     assert (frames[0].width, frames[0].height) == (192, 72)
+
+
+def test_the_plot_shows_the_link_from_when_the_first_frame_was_due(
+    settings: StreamSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It began with the trace, so that what the link did was drawn too late by the time that the start took."""
+    drawn: list[tuple[list[float], list[float]]] = []
+    monkeypatch.setattr(stream_report, "plot_stream", lambda frames, capacity, path: drawn.append(capacity))
+    played = replace(settings, trace="generated:lte-driving", out=str(tmp_path / "report"))
+    line = only(played)
+    [(times_s, mbps)] = drawn
+    begin_us = round(line["first_frame_ms"] * 1000)
+    trace = Play(played).scenario().link()
+    assert begin_us > 200_000
+    assert times_s[:2] == [0.0, 0.1]
+    assert mbps[0] == trace.mean_bps(begin_us, begin_us + 100_000) / 1e6
+    assert mbps != stream_report.capacity_series(trace, times_s[-2])[1]
 
 
 @pytest.mark.slow
