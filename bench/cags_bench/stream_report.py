@@ -16,7 +16,7 @@ STAGES_EVERY = 15
 
 STRIP_STAGES = ("reference", "distorted", "correction", "aligned", "restored", "truth")
 STRIP_TITLES = {
-    "reference": "reference (400x300, sent)",
+    "reference": "reference (sent)",
     "distorted": "distorted (decoded splats)",
     "correction": "change by the reference, around grey",
     "aligned": "aligned picture",
@@ -109,7 +109,8 @@ def write_strip(stages: Path, frame: int, path: Path) -> bool:
         file = stages / f"frame_{frame:04d}_{stage}.png"
         image = cv2.imread(str(file)) if file.exists() else None
         if image is not None:
-            panels.append((STRIP_TITLES[stage], image))
+            size = f", {image.shape[1]}x{image.shape[0]}" if stage == "reference" else ""
+            panels.append((STRIP_TITLES[stage] + size, image))
     if not panels:
         return False
     height = max(image.shape[0] for _, image in panels)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import av
 import cv2
+import numpy as np
 import pytest
 
 from cags_bench import stream_report
@@ -309,6 +310,20 @@ def test_the_plot_shows_the_link_from_when_the_first_frame_was_due(
     assert times_s[:2] == [0.0, 0.1]
     assert mbps[0] == trace.mean_bps(begin_us, begin_us + 100_000) / 1e6
     assert mbps != stream_report.capacity_series(trace, times_s[-2])[1]
+
+
+def test_the_strip_names_the_size_of_the_reference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    titles: list[str] = []
+
+    def titled(title: str, image: np.ndarray) -> np.ndarray:
+        titles.append(title)
+        return image
+
+    monkeypatch.setattr(stream_report, "_titled", titled)
+    for stage, width in (("reference", 200), ("restored", 96)):
+        cv2.imwrite(str(tmp_path / f"frame_0015_{stage}.png"), np.zeros((72, width, 3), np.uint8))
+    assert stream_report.write_strip(tmp_path, 15, tmp_path / "strip.png")
+    assert titles == ["reference (sent), 200x72", "restored (shown)"]
 
 
 @pytest.mark.slow
