@@ -31,6 +31,10 @@ from cags_encoder import EncodeSettings
 from cags_server.session.policies import check_choices
 from cags_shaper.trace import open_trace
 
+STRIP, FILM_STRIP = "strip.png", "film-strip.png"
+PICTURES = STRIP, FILM_STRIP
+"""Pictures of a report that not every play has."""
+
 
 @dataclass(frozen=True)
 class Play:
@@ -157,6 +161,8 @@ class Play:
     def _stages(self, truth: LastTruth) -> Iterator[Watcher]:
         folder = self._beside(Path(self.settings.out))
         folder.mkdir(parents=True, exist_ok=True)
+        for name in PICTURES:
+            (folder / name).unlink(missing_ok=True)  # of an earlier play
         with StageSaver(folder / "stages", STAGES_EVERY, truth) as saver:
 
             def watch(presented: PresentedFrame, record: dict[str, Any]) -> None:
@@ -172,7 +178,7 @@ class Play:
             write_clip(film, self._beside(Path(settings.record)), beside_truth=settings.record_truth)
         if settings.strip is not None:
             shown = {record["frame"]: record.get("psnr_restored_db") for record in result.frames}
-            path = self._beside(Path(settings.out)) / "film-strip.png"
+            path = self._beside(Path(settings.out)) / FILM_STRIP
             write_strip(film, settings.strip, [shown.get(frame) for frame in film.frames], path)
 
     def _beside(self, path: Path) -> Path:
@@ -201,4 +207,4 @@ def write_report(out: Path, scenario: Scenario, result: SessionResult) -> None:
     plot_stream(result.frames, capacity_series(scenario.link(), seconds, times_us[0]), out / "timeline.png")
     chosen = telling_frame(result.frames)
     if chosen is not None:
-        write_strip(out / "stages", chosen, out / "strip.png")
+        write_strip(out / "stages", chosen, out / STRIP)

@@ -13,7 +13,10 @@ from cags_client.output.files import StagesSink, bytes_of, stage_path, write_png
 
 
 class StageSaver:
-    """Writes the stages of every n-th frame (:class:`StagesSink`) and its true picture to ``folder``."""
+    """Writes the stages of every n-th frame (:class:`StagesSink`) and its true picture to ``folder``.
+
+    Pictures of an earlier play there are removed: the strip would show them beside those of this one.
+    """
 
     def __init__(self, folder: Path, every: int, truth: Truth) -> None:
         self._folder, self._every = folder, every
@@ -21,6 +24,8 @@ class StageSaver:
         self._truth = truth
 
     def __enter__(self) -> StageSaver:
+        for old in self._folder.glob("frame_*_*.png"):
+            old.unlink(missing_ok=True)
         return self
 
     def __exit__(

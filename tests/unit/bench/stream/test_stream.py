@@ -312,6 +312,16 @@ def test_the_plot_shows_the_link_from_when_the_first_frame_was_due(
     assert mbps != stream_report.capacity_series(trace, times_s[-2])[1]
 
 
+def test_a_report_holds_no_pictures_of_an_earlier_play(settings: StreamSettings, tmp_path: Path) -> None:
+    out = tmp_path / "report"
+    only(replace(settings, out=str(out), strip=1))
+    assert (out / "stages" / "frame_0000_restored.png").exists()
+    later = replace(settings.client, start_frame=1)
+    only(replace(settings, out=str(out), client=later))  # without frame 0, which is the only one with stages
+    assert not list((out / "stages").iterdir())
+    assert {path.name for path in out.iterdir()} == {"frames.jsonl", "timeline.png", "stages"}
+
+
 def test_the_strip_names_the_size_of_the_reference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     titles: list[str] = []
 
