@@ -60,8 +60,8 @@ def _run_subcommand(module: ModuleType, name: str, argv: Sequence[str]) -> int:
     arguments = parser.parse_args(argv)
     from cags_bench.jsonl import provenance
 
-    provenance()  # now, so that results name the code with which a long run began
-    lines: Iterator[dict[str, Any]] = module.run(arguments)
+    where = {"benchmark": name, **provenance()}  # now, so that results name the code with which a long run began
+    lines: Iterator[dict[str, Any]] = (where | line for line in module.run(arguments))
     if arguments.json:
         from cags_bench.jsonl import write_lines
 

@@ -30,6 +30,20 @@ def test_subcommands_explain_themselves(name, capsys):
     assert importlib.import_module(f"cags_bench.{name}.command").EXAMPLES.strip().splitlines()[0].strip() in shown
 
 
+@pytest.mark.parametrize("name", SUBCOMMANDS)
+def test_every_line_names_its_benchmark_and_where_it_was_measured(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Lines of cases of codec, network and scale did not, although the documentation says so."""
+    module = importlib.import_module(f"cags_bench.{name}.command")
+    monkeypatch.setattr(module, "run", lambda arguments: iter([{"case": "one"}, {"summary": True, "checks": []}]))
+    given = ["--poses", "walks"] if name == "predict" else []
+    assert main([name, "--json", *given]) == 0
+    lines = [json.loads(text) for text in capsys.readouterr().out.splitlines()]
+    assert [line.get("case") for line in lines] == ["one", None]
+    assert all(line["benchmark"] == name and line["machine"] and line["commit"] for line in lines)
+
+
 def test_without_a_subcommand_the_list_is_shown(capsys):
     assert main([]) == 2
     shown = capsys.readouterr().out
