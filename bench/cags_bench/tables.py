@@ -58,6 +58,8 @@ def checks_table(checks: Iterable[dict[str, Any]]) -> Table:
 def _short(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.4g}" if abs(value) < 1000 else f"{value:,.0f}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_short, value))}]"
     if isinstance(value, dict):
         return ", ".join(f"{key}: {_short(item)}" for key, item in value.items())
     return str(value)

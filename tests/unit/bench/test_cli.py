@@ -4,6 +4,7 @@ import errno
 import importlib
 import io
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from cags_bench.demo import cli as demo
 from cags_bench.demo import run
 from cags_bench.demo.run import check_replaceable
 from cags_bench.demo.settings import DemoSettings
+from cags_bench.tables import print_lines
 from cags_common.errors import CagsError, OutputError
 
 
@@ -42,6 +44,11 @@ def test_every_line_names_its_benchmark_and_where_it_was_measured(
     lines = [json.loads(text) for text in capsys.readouterr().out.splitlines()]
     assert [line.get("case") for line in lines] == ["one", None]
     assert all(line["benchmark"] == name and line["machine"] and line["commit"] for line in lines)
+
+
+def test_lists_in_tables_are_rounded_as_numbers_are(capsys: pytest.CaptureFixture[str]) -> None:
+    print_lines([{"case": "one", "level": [1.482854999949268, None, 15947.06099990617]}], sys.stdout)
+    assert capsys.readouterr().out == "case=one  level=[1.483, None, 15,947]\n"
 
 
 def test_without_a_subcommand_the_list_is_shown(capsys):
