@@ -10,12 +10,14 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import json
+import os
 import shutil
 import zipfile
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -23,6 +25,9 @@ from cags_common.bundle import TilePayloads
 from cags_common.errors import BundleError
 from cags_common.files import whole_file, write_whole
 from cags_common.tiles.kinds import TileKind
+
+ATTEMPTS = 20
+"""How often a folder that other runs delete at the same moment is made again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +49,8 @@ class Journal:
     def __init__(self, folder: Path, key: str) -> None:
         self._folder = folder
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            self._lock = (folder / "lock").open("w")
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._lock = _locked(folder)
         except BlockingIOError as error:
-            self._lock.close()
             raise BundleError(f"{folder}: another process encodes this bundle; wait for it or stop it") from error
         except OSError as error:
             raise BundleError(
@@ -100,8 +102,8 @@ class Journal:
 
     def discard(self) -> None:
         """Delete everything: the bundle is complete, or the run cannot be continued."""
-        self._lock.close()
         shutil.rmtree(self._folder, ignore_errors=True)
+        self._lock.close()
 
     def _belongs_to(self, kind: str, key: str) -> None:
         """Drop all records and notes unless they were made for ``key``."""
@@ -112,6 +114,23 @@ class Journal:
             if old.suffix in (".npz", ".json"):
                 old.unlink()
         write_whole(path, key.encode())
+
+
+def _locked(folder: Path) -> IO[str]:
+    """The locked file of ``folder``, which is made if it is missing.
+
+    A run that ends just now deletes the folder; what was opened in it before is not what others will lock. Raises
+    :class:`BlockingIOError` if another process holds the lock, and :class:`OSError` where nothing can be written.
+    """
+    for _ in range(ATTEMPTS):
+        folder.mkdir(parents=True, exist_ok=True)
+        with ExitStack() as stack, suppress(FileNotFoundError):
+            lock = stack.enter_context((folder / "lock").open("w"))
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.path.samestat(os.fstat(lock.fileno()), (folder / "lock").stat()):
+                stack.pop_all()
+                return lock
+    raise BlockingIOError
 
 
 def _name(index: int) -> str:

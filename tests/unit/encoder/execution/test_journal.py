@@ -1,6 +1,9 @@
 """Records of finished frames are read back unchanged, and only by the run that they belong to."""
 
+import fcntl
+import shutil
 from pathlib import Path
+from typing import IO
 
 import pytest
 
@@ -62,6 +65,31 @@ def test_one_process_at_a_time(tmp_path: Path) -> None:
     with Journal(tmp_path, "key") as journal:
         journal.discard()
     assert not tmp_path.exists()
+
+
+def test_a_run_begins_while_another_deletes_its_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The lock was then that of a deleted file: the run ended in a traceback, or a third one could join it."""
+    folder = tmp_path / "records"
+    ending = Journal(folder, "key")
+    lock = fcntl.flock
+
+    def ends_first(file: IO[str], how: int) -> None:
+        monkeypatch.setattr(fcntl, "flock", lock)
+        ending.discard()
+        lock(file, how)
+
+    monkeypatch.setattr(fcntl, "flock", ends_first)
+    with Journal(folder, "key") as journal:
+        journal.add(0, RECORD)
+        with pytest.raises(BundleError, match="another process encodes this bundle"):
+            Journal(folder, "key")
+        assert journal.frame(0) is not None
+
+
+def test_a_folder_that_others_keep_deleting_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fcntl, "flock", lambda file, how: shutil.rmtree(tmp_path / "records"))
+    with pytest.raises(BundleError, match="another process encodes this bundle"):
+        Journal(tmp_path / "records", "key")
 
 
 def test_a_journal_without_records_leaves_nothing(tmp_path: Path) -> None:
