@@ -29,7 +29,7 @@ OF_THE_PAGE = {
         SMOOTHING_US HITCH UP_SHARE LEAST_GAIN SLOW HEADROOM MOST_FALL STEADY LEAST_PICTURES EVEN_PICTURES CAUTION""",
     ("player/player", "cags_client.playback.interactive"): "SEEK_PATIENCE_US JUMP_US",
     ("player/player", "cags_protocol.wire.limits"): "MOST_SAMPLES=MAX_POSE_SAMPLES",
-    ("player/startup", "cags_client.playback.startup"): "QUIET_US PREVIEW_EVERY_US",
+    ("player/startup", "cags_client.playback.startup"): "QUIET_US UNREFINED_QUIET_US PREVIEW_EVERY_US",
     ("player/camera", "cags_common.bundle.first_view"): "MARGIN BULK LEAST_RADIUS LEAST_SHARE",
     ("playback/references", "cags_client.store.references"): "KEPT LATEST",
     ("playback/references", "cags_client.frame.pipeline"): "PATIENCE_FRAMES",

@@ -10,6 +10,11 @@ from __future__ import annotations
 QUIET_US = 250_000
 """The hold ends when no tile has arrived for this long, nor a part of one: over a slow link one may take longer."""
 
+UNREFINED_QUIET_US = 1_000_000
+"""The same from the codebooks on until the first thing after them: what waited behind them, as references planned
+meanwhile, may come before the tiles.
+"""
+
 PREVIEW_EVERY_US = 200_000
 """While tiles arrive, the held frame is redrawn at this interval."""
 
@@ -22,7 +27,7 @@ class Startup:
         self._most_us = most_us
         self._newest_us = self._drawn_us = now_us
         self._whole_us: int | None = None
-        self._equipped_us, self._equipped = now_us, True
+        self._equipped_us, self._equipped, self._refined = now_us, True, True
         self.greeting = 0
         """References that had come when the hold began: drawn for a client with few splats or none, they would spoil
         what was refined since. They are forgotten when the clip plays.
@@ -32,6 +37,7 @@ class Startup:
         """A tile has arrived, or a part of a message; ``equipped``: after the codebooks of all levels. Before, nothing
         can be refined, and the hold does not end.
         """
+        self._refined = self._equipped
         if equipped and not self._equipped:
             self._equipped_us = now_us
         self._newest_us, self._equipped = now_us, equipped
@@ -49,7 +55,8 @@ class Startup:
         if self._whole_us is None or not self._equipped:
             return None
         begun_us = max(self._whole_us, self._equipped_us)
-        return min(begun_us + self._most_us, max(self._newest_us + QUIET_US, self._whole_us))
+        quiet_us = QUIET_US if self._refined else UNREFINED_QUIET_US
+        return min(begun_us + self._most_us, max(self._newest_us + quiet_us, self._whole_us))
 
     def preview(self, now_us: int) -> bool:
         """Whether to redraw the held frame now that more of it has arrived."""

@@ -7,6 +7,9 @@
 export const STARTUP_US = 1_500_000;
 /** The hold ends when no tile has arrived for this long, nor a part of one: over a slow link one may take longer. */
 const QUIET_US = 250_000;
+/** The same from the codebooks on until the first thing after them: what waited behind them, as references planned
+ * meanwhile, may come before the tiles. */
+const UNREFINED_QUIET_US = 1_000_000;
 /** While tiles arrive, the held frame is redrawn at this interval. */
 const PREVIEW_EVERY_US = 200_000;
 
@@ -18,6 +21,7 @@ export class Startup {
   #wholeUs: number | undefined;
   #equippedUs: number;
   #equipped = true;
+  #refined = true;
   /** Order of the newest reference that had come when the hold began: those up to it, drawn for a page with few splats or
    * none, would spoil what was refined since. They are forgotten when the clip plays. */
   greeting = 0;
@@ -31,6 +35,7 @@ export class Startup {
   /** A tile has arrived, or a part of a message; `equipped`: after the codebooks of all levels. Before, nothing can be
    * refined, and the hold does not end. */
   came(nowUs: number, equipped = true): void {
+    this.#refined = this.#equipped;
     if (equipped && !this.#equipped) this.#equippedUs = nowUs;
     this.#newestUs = nowUs;
     this.#equipped = equipped;
@@ -52,7 +57,8 @@ export class Startup {
   get endsUs(): number | undefined {
     if (this.#wholeUs === undefined || !this.#equipped) return undefined;
     const begunUs = Math.max(this.#wholeUs, this.#equippedUs);
-    return Math.min(begunUs + this.#mostUs, Math.max(this.#newestUs + QUIET_US, this.#wholeUs));
+    const quietUs = this.#refined ? QUIET_US : UNREFINED_QUIET_US;
+    return Math.min(begunUs + this.#mostUs, Math.max(this.#newestUs + quietUs, this.#wholeUs));
   }
 
   /** Whether to redraw the held frame now that more of it has arrived. */

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cags_client.playback.startup import PREVIEW_EVERY_US, QUIET_US, Startup
+from cags_client.playback.startup import PREVIEW_EVERY_US, QUIET_US, UNREFINED_QUIET_US, Startup
 
 MOST_US = 700_000
 
@@ -61,3 +61,14 @@ def test_the_longest_hold_begins_once_anything_can_be_refined() -> None:
     for now_us in range(equipped_us, equipped_us + 2 * MOST_US, 20_000):
         startup.came(now_us)
     assert startup.ends_us == equipped_us + MOST_US
+
+
+def test_what_comes_between_codebooks_and_tiles_does_not_end_the_hold() -> None:
+    """References that waited behind the codebooks of a slow link took more than a quarter of a second there."""
+    startup = Startup(2 * UNREFINED_QUIET_US, 0)
+    startup.whole(100_000)
+    startup.came(500_000, equipped=False)
+    startup.came(600_000)  # the codebooks
+    assert startup.ends_us == 600_000 + UNREFINED_QUIET_US
+    startup.came(900_000)  # the first tile that needs them
+    assert startup.ends_us == 900_000 + QUIET_US
