@@ -155,6 +155,9 @@ class _FolderPlace(Place):
         above = next(parent for parent in folder.parents if parent.exists())
         if not above.is_dir():
             raise self._refuse(f"{above} is not a folder")
+        for parent in folder.parents:
+            if all((parent / name).is_file() for name in (MANIFEST_NAME, CODEBOOKS_NAME)):
+                raise self._refuse(f"lies inside the bundle {parent}, which could not be replaced any more")
         if not folder.exists():
             return
         if not folder.is_dir():

@@ -123,6 +123,19 @@ def test_a_link_to_itself_is_refused(tmp_path: Path) -> None:
         place_of(str(tmp_path / "out"))
 
 
+@pytest.mark.parametrize("name", ["a/out", "a/source/deep/out"])
+def test_a_place_inside_a_bundle_is_refused(tmp_path: Path, name: str) -> None:
+    """It was written, and the bundle around it could then not be encoded again."""
+    outer = tmp_path / "a"
+    outer.mkdir()
+    (outer / "manifest.json").write_text("{}")
+    assert place_of(str(tmp_path / name))  # whoever keeps a manifest of another kind may work beneath it
+    (outer / "codebooks.bin").write_text("")
+    with pytest.raises(BundleError, match=r"out: lies inside the bundle .*a, which could not be replaced any more"):
+        place_of(str(tmp_path / name))
+    assert not (outer / "out").exists()
+
+
 @pytest.mark.parametrize("name", [".", "..", "{tmp_path}"])
 def test_the_current_folder_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     (tmp_path / "within").mkdir()
