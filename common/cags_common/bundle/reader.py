@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -60,6 +61,14 @@ CACHED_BYTES, CACHED_FRAMES = 64 << 20, 16
 layers from it."""
 
 
+def refuse_published(url: str, manifest: bytes) -> None:
+    """Raise :class:`BundleError` if ``manifest``, a valid one, is that of a published folder at ``url``."""
+    if "published" in json.loads(manifest):
+        raise BundleError(
+            f"{url}: is a folder made by cags-encode --publish, for web hosts; name the bundle that it was made of"
+        )
+
+
 class BundleReader:
     """An open bundle. Safe to use from several threads."""
 
@@ -82,7 +91,9 @@ class BundleReader:
         """
         with naming(str(url)):
             store = UrlStore(str(url))
-            manifest = Manifest.from_json(store.read_all(MANIFEST_NAME, MAX_MANIFEST_BYTES))
+            data = store.read_all(MANIFEST_NAME, MAX_MANIFEST_BYTES)
+            manifest = Manifest.from_json(data)
+            refuse_published(str(url), data)
             if not manifest.gofs:
                 raise BundleError(f"{url}: its manifest is the public part only and says nothing of files")
             codebooks = store.read_all(CODEBOOKS_NAME, MAX_CODEBOOK_BYTES)

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, Manifest
-from cags_common.bundle.reader import naming
+from cags_common.bundle.reader import naming, refuse_published
 from cags_common.bundle.store import UrlStore, remove_tree, written_folder
 from cags_common.errors import ConfigError, OutputError
 
@@ -57,6 +57,7 @@ def publish(url: str, folder: Path, page: Path | None) -> Published:
         data = store.read_all("manifest.json", MAX_MANIFEST_BYTES)
         with naming(url):
             Manifest.from_json(data)
+            refuse_published(url, data)
         with _all_or_nothing(folder) as writing:
             _write(store, json.loads(data), page, writing)
         written = [path for path in folder.rglob("*") if path.is_file()]

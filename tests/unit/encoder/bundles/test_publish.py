@@ -67,3 +67,16 @@ def test_a_bundle_that_is_not_whole_leaves_nothing(lost: str, there: bool, bundl
     with pytest.raises(BundleError, match=lost):
         publish(str(tmp_path / "b"), site, None)
     assert names(tmp_path / "sites") == (["site"] if there else [])
+
+
+@pytest.mark.parametrize("command", [["--inspect"], ["--verify"], ["--publish"]])
+def test_a_published_folder_is_told_from_a_bundle(
+    command: list[str], bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was said to lack its codebooks, and perhaps not to be made by cags-encode."""
+    publish(str(bundle), tmp_path / "site", None)
+    into = [str(tmp_path / "other")] if command == ["--publish"] else []
+    assert main([*command, str(tmp_path / "site"), *into]) == 1
+    said = capsys.readouterr().err
+    assert f"{tmp_path / 'site'}: is a folder made by cags-encode --publish, for web hosts; name the bundle" in said
+    assert not (tmp_path / "other").exists()
