@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from cags_bench.scale.cluster import Cluster, Load
-from cags_bench.scale.command import add_arguments, capacity, run
+from cags_bench.scale.command import _curve_checks, add_arguments, capacity, run
 from cags_bench.scale.settings import ScaleSettings
 from cags_bench.scale.sizing import judged, sizing_caption, sizing_table
 from cags_bench.scale.viewers import ALONE, APART, SAME, Audience, cost_of, splats_shown
@@ -175,3 +175,12 @@ def test_the_operators_table_is_that_of_the_committed_lines() -> None:
     lines = [json.loads(line) for line in (folder / "sizing.jsonl").read_text(encoding="utf-8").splitlines()]
     cases, page = [line for line in lines if "case" in line], (folder / "operate.md").read_text("utf-8")
     assert f"{sizing_table(cases)}\n{sizing_caption(cases, lines[-1])}\n" in page, "the output of --table, as it is"
+
+
+def test_one_server_is_not_compared_with_itself() -> None:
+    """The check could not fail."""
+    assert _curve_checks({1: 40}, {}) == []
+    [one] = _curve_checks({1: 40, 2: 60}, {})
+    assert (one["value"], one["ok"]) == (0.75, False)
+    [none] = _curve_checks({1: 0, 2: 0}, {})
+    assert not none["ok"]
