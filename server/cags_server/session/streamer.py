@@ -395,8 +395,8 @@ class Streamer:
         Only references wait for the renderer; media does not. Before the first render, visibility follows from tile
         bounds.
         """
-        due_us, frame = self.frame_due_us(), self._schedule.next_frame
-        if frame is None or due_us is None:
+        due_us = self.frame_due_us()
+        if due_us is None:
             return []
         if now_us < due_us:
             return self._planner.more_detail(now_us)
@@ -405,7 +405,7 @@ class Streamer:
             return []
         seen = self._next_is_seen()
         tick, covered = self._schedule.go_blind(now_us - due_us)
-        plan = self._blind_plan(tick, frame, covered, now_us)
+        plan = self._blind_plan(tick, covered, now_us)
         record = self._record(plan)
         if self._schedule.is_out(tick):
             self._went_ahead = record  # of the pending render, whose reference is not late yet
@@ -424,10 +424,12 @@ class Streamer:
         self._tiles.enter(frame)
         self._restart_if_forgotten(frame, now_us)
 
-    def _blind_plan(self, tick: int, frame: int, ticks_covered: int, now_us: int) -> FramePlan:
+    def _blind_plan(self, tick: int, ticks_covered: int, now_us: int) -> FramePlan:
         """The plan for a frame without a render, or the plan of the pending render."""
         if self._render_plan is not None and self._schedule.is_out(tick):
             return self._render_plan
+        frame = self._schedule.media_frame(tick)
+        assert frame is not None, "no tick after the end is served"
         return self._plan(tick, frame, ticks_covered, now_us, drawn=False)
 
     def _ahead(self, tick: int, frame: int) -> Ahead:

@@ -7,7 +7,7 @@ import pytest
 from cags_protocol import events as ev
 from cags_protocol.wire.messages import FrameEnd, ReferenceFrame, ReferenceKind, TileLayers
 from cags_server.link.pace import MARGIN_US
-from cags_server.session.schedule import LONGEST_LEAD_US, POOR
+from cags_server.session.schedule import JUMP_US, LONGEST_LEAD_US, POOR
 from support.server_scene import SETTINGS
 from support.streamer_rig import OFFSET_US, PERIOD_US, Rig, of
 
@@ -160,6 +160,19 @@ def test_media_goes_on_while_a_picture_is_being_rendered() -> None:
     rendered = rig.streamer.stats.records[1]
     assert (rendered.predicted, rendered.margins) == (job.plan.predicted.pose, job.plan.margins)
     assert [r.frame for r in next_references(rig)] == [5], "the renderer rests for as long as it overran a frame"
+
+
+def test_a_frame_that_stands_for_a_second_of_others_without_a_render_is_recorded_as_itself() -> None:
+    """It was recorded as the first of them, and compared by that one's group."""
+    rig = Rig(frames=60)
+    rig.play()
+    rig.step()
+    assert rig.streamer.begin(rig.streamer.next_due_us()) is not None
+    rig.streamer.catch_up(rig.streamer.next_due_us())
+    rig.deliver(rig.streamer.catch_up(round(rig.streamer.next_due_us() + JUMP_US + 10.5 * PERIOD_US)))
+    records = rig.streamer.stats.records
+    assert [record.frame for record in records] == [record.tick for record in records]
+    assert records[-1].frame > JUMP_US / PERIOD_US
 
 
 @pytest.mark.parametrize("ahead", [1, 3])
