@@ -226,6 +226,8 @@ class Connection:
                 self._join(event.hello, now_us)
             elif isinstance(event, ev.Closed):
                 self.ending = event
+                if event.code == "bye" and self.streamer is not None:
+                    self.streamer.said_goodbye(now_us)
             elif self.streamer is not None:
                 if isinstance(event, ev.PosesReceived):
                     self._enforce(self._quota.poses(len(event.samples), now_us), now_us)

@@ -3,7 +3,7 @@
 A frame is counted once it was due by the client's own clock, as its poses tell it, and by the share of frames that it
 says it displays. Whether it displayed it, or skipped it because it was still busy with the one before, is not known
 here. What was sent ahead and never was due counts as nothing, and so do the pictures of a pause and what was due after
-the last pose.
+the last pose of a client that left without a goodbye.
 """
 
 from __future__ import annotations

@@ -64,6 +64,9 @@ OVERLOAD = 1.5
 GREETING_DEADLINE_US = 2_000_000
 """Time after which a first picture is useless, because tiles have arrived."""
 
+GOODBYE_SOONER_US = 50_000
+"""By how much sooner than the last pose a goodbye may be read after it was sent: a busy server reads both at once."""
+
 GREETING_AGAIN_US = 20_000
 """Interval between attempts at a first picture while the renderer has no free slot."""
 
@@ -125,6 +128,7 @@ class Streamer:
         self._greeting_due_us: int | None = None  # of the first picture, before the viewer starts playback
         self._damaged = False  # a sent message did not arrive completely
         self._no_place = False  # at the renderer, for the frame that is due
+        self._last_pose: tuple[int, int] | None = None  # its time by the client's clock, and when it arrived
 
     # ------------------------------------------------------------------------------------------------------- startup
 
@@ -190,6 +194,7 @@ class Streamer:
                 self._schedule.cadence_permille = cadence_permille
                 self._schedule.follow_clock(arrival_us)
                 if samples:
+                    self._last_pose = samples[-1].t_us, arrival_us
                     self._dispatch.arrivals.displayed(self._schedule.timeline, samples[-1].t_us, cadence_permille)
             case ev.Acknowledged(sample):
                 self._link.on_ack(sample)
@@ -215,6 +220,15 @@ class Streamer:
                     self._tiles.evicted(held)
             case _:
                 pass
+
+    def said_goodbye(self, now_us: int) -> None:
+        """The client has left: what was due since its last pose was due, too. Its goodbye waited on the way about as
+        long as that pose, whatever else waits there.
+        """
+        if self._last_pose is not None:
+            t_us, arrival_us = self._last_pose
+            until_us = min(self._viewer.clock.to_client(now_us), t_us + now_us - arrival_us + GOODBYE_SOONER_US)
+            self._dispatch.arrivals.displayed(self._schedule.timeline, until_us, self._schedule.cadence_permille)
 
     def _on_sent(self, outgoing: ev.Outgoing, now_us: int) -> None:
         """A message was written completely."""

@@ -16,7 +16,7 @@ from cags_protocol.wire.messages import Control, FrameEnd, PoseSample, Reference
 from cags_server.reference.job import FrameJob, FrameRender
 from cags_server.reference.render_slots import RenderSlots
 from cags_server.session.connection import Connection
-from support.server_scene import SETTINGS, FakeReader, hello, library
+from support.server_scene import FPS, SETTINGS, FakeReader, hello, library
 from support.streamer_rig import Rig, of
 
 STEP_US = 5_000
@@ -91,6 +91,35 @@ def test_a_client_joins_plays_to_the_end_and_leaves() -> None:
     assert pair.connection.ending.code == "bye"
     assert pair.connection.next_timer_us() is None
     assert pair.connection.next_job(pair.now_us) is None
+
+
+@pytest.mark.parametrize(
+    ("goodbye_after_ms", "due"),
+    [(None, 3), (0, 4), (2000, 6)],
+    ids=["lost", "goodbye", "goodbye that waited on the link, as the poses did"],
+)
+def test_what_was_due_after_the_last_pose_counts_where_the_client_says_goodbye(
+    goodbye_after_ms: int | None, due: int
+) -> None:
+    """Of a clip's 30 displayed frames 29 were said to be due, wherever the goodbye came before another pose."""
+    pair = Pair()
+    pair.run(100)
+    pair.client.control(Control("play", 0, pair.now_us + 200_000), now_us=pair.now_us)
+    pair.run(200 + round(3e3 / FPS))
+    for _ in range(round(1e6 / FPS) // STEP_US):  # and no more poses
+        pair.step()
+    connection, now_us = pair.connection, pair.now_us
+    if goodbye_after_ms is None:
+        connection.connection_lost("reset", now_us)
+    else:
+        late_us = goodbye_after_ms * 1000
+        assert connection.streamer is not None
+        t_us, arrival_us = connection.streamer._last_pose
+        connection.streamer._last_pose = t_us, arrival_us + late_us
+        pair.client.bye(now_us=now_us)
+        for data in pair.client.data_to_send(now_us):
+            connection.receive(data, now_us + late_us)
+    assert connection.stats.frames_in_time + connection.stats.frames_late == due
 
 
 def test_marks_come_in_order_and_before_the_references_that_name_them() -> None:
