@@ -60,8 +60,10 @@ class Schedule:
         self._clock = clock
         self._controlled = False
         self._from_tick = 0  # first tick neither planned nor skipped
-        self._passed = range(0)  # ticks that the newest planned one completes beside itself
+        self._passed = range(0)  # ticks that the newest planned one completes beside itself, not counted yet
         self._planned_us = 0  # when a tick was planned last, or a control arrived
+        self._planned_lead_us: float | None = None  # the lead then; None: a control arrived
+        self._excused_us = 0  # displays up to then, client clock, became due at once: no server could plan them all
         self._blind_tick = -1  # newest frame that was served without a render
         self._rendered_tick: int | None = None  # newest frame that a render was begun for
         self._render_covers = 1
@@ -78,7 +80,7 @@ class Schedule:
         self.timeline = self.timeline.controlled(control)
         self._controlled = True
         self.generation += 1
-        self._planned_us = now_us
+        self._planned_us, self._planned_lead_us = now_us, None
         self._count_anew()
 
     def client_lacks(self, squared_error: float) -> None:
@@ -235,15 +237,18 @@ class Schedule:
     def planned(self, now_us: int) -> int:
         """A tick is planned now; returns how many displayed ticks it passes over because the server was late.
 
-        Those that were due already when the plan before it was made, or when the control arrived, are not counted:
-        the lead has become longer, or the control came late. Neither are those of a pause, in which nothing moves on.
+        Those that a longer lead has made due since the plan before it are not counted, and those that were due when the
+        control arrived: it came late. Neither are those of a pause, in which nothing moves on.
         """
-        known_us = self._clock.to_client(self._planned_us) + round(self.lead_us)
-        first = max(self._passed.start, self.timeline.first_tick(known_us + 1))
-        self._planned_us = now_us
-        if not self.timeline.playing or first >= self._passed.stop:
+        lead_us = self.lead_us
+        if self._planned_lead_us is None or lead_us > self._planned_lead_us:
+            self._excused_us = self._clock.to_client(self._planned_us) + round(lead_us)
+        self._planned_us, self._planned_lead_us = now_us, lead_us
+        passed, self._passed = self._passed, range(0)
+        first = max(passed.start, self.timeline.first_tick(self._excused_us + 1))
+        if not self.timeline.playing or first >= passed.stop:
             return 0
-        before, last = ((tick - 1) * self.cadence_permille // EVERY_FRAME for tick in (first, self._passed.stop))
+        before, last = ((tick - 1) * self.cadence_permille // EVERY_FRAME for tick in (first, passed.stop))
         return last - before
 
     def is_out(self, tick: int) -> bool:

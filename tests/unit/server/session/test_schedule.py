@@ -121,6 +121,20 @@ def test_frames_that_a_longer_lead_has_made_due_are_not_skipped() -> None:
     assert schedule.planned(now_us) == 0, "one became due since the last plan, and is planned"
 
 
+def test_late_frames_that_are_left_out_after_some_were_served_late_are_skipped() -> None:
+    """What was due at the plan before was never counted: of 89 displayed frames 41 were planned, and 1 was skipped."""
+    schedule = playing()
+    due_us = schedule.next_due_us(lambda: True)
+    assert due_us is not None
+    planned(schedule)
+    schedule.planned(due_us)
+    late_us = 30 * PERIOD_US  # of a second that media is served in turn
+    assert schedule.go_blind(late_us) == (1, 1)
+    assert schedule.planned(due_us + late_us) == 0
+    assert schedule.begin_render(late_us)[0] == 32
+    assert schedule.planned(due_us + late_us + 2 * PERIOD_US) == 30
+
+
 @pytest.mark.parametrize(("permille", "skipped"), [(1000, 7), (500, 3), (250, 1)])
 def test_of_frames_that_the_client_does_not_display_none_is_skipped(permille: int, skipped: int) -> None:
     schedule = playing()
