@@ -44,7 +44,7 @@ EXAMPLES = """\
 class _Outputs:
     url: str
     poses: str | None
-    save: str | None
+    record: str | None
     json: str | None
     truth: str | None
     stages: str | None
@@ -75,8 +75,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--scene", default="", metavar="NAME", help="scene to play, for a server of several")
     parser.add_argument(
-        "--save",
         "--record",
+        "--save",
         metavar="DIR|FILE.mp4",
         help="write displayed frames, into a new folder as PNG files or as a video",
     )
@@ -111,7 +111,7 @@ def _body(argv: Sequence[str]) -> int | None:
     from cags_client.settings import ClientSettings
 
     settings = load_settings(ClientSettings, arguments, ViewSettings)
-    names = ("url", "poses", "save", "json", "truth", "stages", "stages_every", "view", "headless")
+    names = ("url", "poses", "record", "json", "truth", "stages", "stages_every", "view", "headless")
     if arguments.stages_every is None:
         arguments.stages_every = STAGES_EVERY
     elif not arguments.stages:
@@ -212,7 +212,7 @@ def _shown_live(info: Manifest, outputs: _Outputs) -> Iterator[Callable[[dict[st
 
 
 def _check_view(outputs: _Outputs) -> None:
-    for flag in ("save", "stages"):
+    for flag in ("record", "stages"):
         if getattr(outputs, flag):
             raise ConfigError(f"--{flag} does not go with --view, which has no end; leave one out")
     from cags_client.output.page.assets import why_missing
@@ -307,8 +307,8 @@ def _open_sinks(outputs: _Outputs, info: Manifest) -> tuple[list[FrameSink], Sco
     spool = ScoringSpool() if outputs.truth else None
     if spool is not None:
         sinks.append(spool)
-    if outputs.save:
-        sinks.append(open_save(outputs.save, info.fps))
+    if outputs.record:
+        sinks.append(open_save(outputs.record, info.fps))
     return sinks, spool
 
 
@@ -344,7 +344,7 @@ def _check_json(path: str | None) -> None:
 def _check_apart(outputs: _Outputs) -> None:
     """Two outputs of one name would replace each other."""
     of: dict[Path, str] = {}
-    for flag in ("save", "json", "stages"):
+    for flag in ("record", "json", "stages"):
         path = getattr(outputs, flag)
         if path and (flag, path) != ("json", "-"):
             other = of.setdefault(Path(path).resolve(), flag)
@@ -355,8 +355,8 @@ def _check_apart(outputs: _Outputs) -> None:
 def _check_pictures(outputs: _Outputs) -> None:
     from cags_client.output.files import check_picture_folder, check_save
 
-    if outputs.save:
-        check_save(outputs.save)
+    if outputs.record:
+        check_save(outputs.record)
     if outputs.stages:
         check_picture_folder("--stages", Path(outputs.stages))
 

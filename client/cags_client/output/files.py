@@ -86,21 +86,21 @@ def write_png(path: Path, picture: NDArray[np.uint8]) -> None:
 
 
 def open_save(spec: str, fps: float) -> FrameSink:
-    """The sink of ``--save``: a folder of PNG files, or a clip where ``spec`` ends in ``.mp4``."""
+    """The sink of ``--record``: a folder of PNG files, or a clip where ``spec`` ends in ``.mp4``."""
     return Mp4Sink(Path(spec), fps) if _is_clip(Path(spec)) else PngSink(Path(spec))
 
 
 def check_save(spec: str) -> None:
-    """Raises :class:`ConfigError` where ``--save`` names neither a folder for pictures nor an ``.mp4`` file."""
+    """Raises :class:`ConfigError` where ``--record`` names neither a folder for pictures nor an ``.mp4`` file."""
     path = Path(spec)
     if not _is_clip(path) and path.suffix and not path.is_dir() and not spec.endswith(os.sep):
         raise ConfigError(
-            f"--save {spec}: {path.suffix} is no format to save in; end a video's name in .mp4 and a new folder's in /"
+            f"--record {spec}: {path.suffix} is no format to record; end a video's name in .mp4 and a new folder's in /"
         )
     if _is_clip(path) and path.is_dir():
-        raise ConfigError(f"--save {spec}: is a folder; give another name for the video")
+        raise ConfigError(f"--record {spec}: is a folder; give another name for the video")
     if not _is_clip(path):
-        check_picture_folder("--save", path)
+        check_picture_folder("--record", path)
 
 
 def check_picture_folder(flag: str, folder: Path) -> None:

@@ -90,7 +90,7 @@ def test_pictures_go_only_where_nothing_else_lies(tmp_path: Path) -> None:
     for thing in (tmp_path / "file", Path("/dev/full")):
         with pytest.raises(ConfigError, match="is no folder; give the name of a new one"):
             check_save(str(thing))
-    with pytest.raises(ConfigError, match=r"x\.mkv: \.mkv is no format to save in"):
+    with pytest.raises(ConfigError, match=r"x\.mkv: \.mkv is no format to record"):
         check_save("x.mkv")
     (tmp_path / "folder.mp4").mkdir()
     with pytest.raises(ConfigError, match="is a folder"):
