@@ -19,8 +19,8 @@ class ShaperSettings:
 
     listen: str = setting("127.0.0.1:0", "HOST:PORT to listen on; port 0 picks a free one")
     to: str = setting("127.0.0.1:8765", "HOST:PORT to connect to")
-    trace: str | None = setting(None, "trace of the direction towards the client; none: no rate limit")
-    uplink_trace: str | None = setting(None, "trace of the direction towards the server; none: no rate limit")
+    trace: str | None = setting(None, "trace of the direction towards the client; no rate limit when not given")
+    uplink_trace: str | None = setting(None, "trace of the direction towards the server; no rate limit when not given")
     delay_ms: float = setting(0.0, "propagation delay each way, ms", low=0, high=60_000)
     jitter_ms: float = setting(0.0, "mean extra delay, exponential, order kept, ms", low=0, high=60_000)
     queue_bytes: int = setting(
