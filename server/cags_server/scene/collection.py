@@ -204,7 +204,7 @@ class Collection:
         if name is None and not self.several:
             return next(iter(self._readers))
         if name is None:
-            raise UnknownSceneError("this server has several scenes: name one, ?scene=NAME or --scene NAME")
+            raise UnknownSceneError("this server has a folder of scenes: name one, ?scene=NAME or --scene NAME")
         if name not in self._readers:
             raise UnknownSceneError(f"there is no scene {name[:80]!r} here; the server's own page lists those that are")
         return name

@@ -79,11 +79,11 @@ async def test_scenes_have_addresses_of_their_own(folder: Path) -> None:
 async def test_a_scene_that_is_not_named_or_not_there_is_refused_in_a_line(folder: Path) -> None:
     async with gallery(folder) as (url, server), ClientSession() as http:
         for path in ("bundle", "stream", "thumbnail"):
-            for query, words in (("", "several scenes"), ("?scene=../one", "no scene '../one'")):
+            for query, words in (("", "a folder of scenes"), ("?scene=../one", "no scene '../one'")):
                 answer = await http.get(f"{url}/{path}{query}")
                 assert answer.status == 404
                 assert words in (await answer.json())["error"]
-        with pytest.raises(NetworkError, match="several scenes"):
+        with pytest.raises(NetworkError, match="a folder of scenes"):
             await asyncio.to_thread(fetch_info, stream_url(server))
 
 

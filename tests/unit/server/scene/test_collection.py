@@ -51,7 +51,7 @@ def test_a_scene_is_named_and_others_are_not_there(folder: Path) -> None:
     for name in HOSTILE:
         with pytest.raises(UnknownSceneError, match="there is no scene"):
             scenes.library(name)
-    with pytest.raises(UnknownSceneError, match="several scenes"):
+    with pytest.raises(UnknownSceneError, match="a folder of scenes"):
         scenes.manifest(None)
 
 
