@@ -34,6 +34,7 @@ class PlayStats:
     bytes_tiles: int = 0
     bytes_reference: int = 0
     bytes_other: int = 0
+    """Codebooks and weights."""
     first_byte_us: int | None = None
     last_byte_us: int = 0
     first_picture_us: int | None = None

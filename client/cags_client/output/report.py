@@ -75,6 +75,7 @@ def summary(records: list[dict[str, Any]], stats: PlayStats) -> dict[str, Any]:
         "notices": list(stats.notices),
         "bytes_tiles": stats.bytes_tiles,
         "bytes_reference": stats.bytes_reference,
+        "bytes_other": stats.bytes_other,
         "goodput_mbps": received * 8 / seconds / 1e6 if seconds > 0 else 0.0,
         **means,
         **steadiness(records, stats.started_us),

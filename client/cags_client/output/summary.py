@@ -63,8 +63,9 @@ def _picture(summary: Mapping[str, Any]) -> str:
 
 
 def _received(summary: Mapping[str, Any]) -> str:
-    tiles, references = summary["bytes_tiles"] / 1e6, summary["bytes_reference"] / 1e6
-    return f"{tiles:.2f} MB of tiles, {references:.2f} MB of references; {summary['goodput_mbps']:.1f} Mbps"
+    tiles, references, other = (summary[f"bytes_{kind}"] / 1e6 for kind in ("tiles", "reference", "other"))
+    parts = f"{tiles:.2f} MB of tiles, {references:.2f} MB of references, {other:.2f} MB of codebooks and weights"
+    return f"{parts}; {summary['goodput_mbps']:.1f} Mbps"
 
 
 def _times(summary: Mapping[str, Any]) -> list[Row]:

@@ -53,3 +53,12 @@ def test_a_summary_counts_from_when_the_first_frame_was_due(reader: BundleReader
     record = frame_stats(shown, Present(0, 500_000, pose, stage.pipe, Traffic()), 520_000)
     assert summary([record], PlayStats(frames=1, dropped=14, started_us=100_000))["gap_p95_ms"] == 420
     assert "gap_p95_ms" not in summary([record], PlayStats(frames=1, started_us=500_000))
+
+
+def test_the_bytes_of_a_summary_make_up_its_goodput() -> None:
+    """Codebooks, half of what a short play gets, were in the goodput alone."""
+    stats = PlayStats(first_byte_us=1_000_000, last_byte_us=3_000_000)
+    stats.bytes_tiles, stats.bytes_reference, stats.bytes_other = 40_000, 7_000, 60_000
+    last = summary([], stats)
+    received = last["bytes_tiles"] + last["bytes_reference"] + last["bytes_other"]
+    assert received * 8 / 2 / 1e6 == pytest.approx(last["goodput_mbps"])

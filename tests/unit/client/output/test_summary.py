@@ -15,6 +15,7 @@ PLAIN: dict[str, Any] = {
     "away_ms": 0.0,
     "bytes_tiles": 928_495,
     "bytes_reference": 102_688,
+    "bytes_other": 60_579,
     "goodput_mbps": 2.606,
     "lod_mean": 21.89,
     "latency_ms": 90.27,
@@ -34,7 +35,7 @@ def test_a_plain_play_is_told_in_a_few_lines() -> None:
     assert words() == {
         "shown": "38 of 90 frames",
         "detail": "21.9 quality levels a splat in view, on average",
-        "received": "0.93 MB of tiles, 0.10 MB of references; 2.6 Mbps",
+        "received": "0.93 MB of tiles, 0.10 MB of references, 0.06 MB of codebooks and weights; 2.6 Mbps",
         "work": "raster 25.1, stand-in 2.6 ms, each where it was done",
         "shown after": "90 ms after the frame was due, 95 % within 170 ms",
     }
