@@ -28,7 +28,12 @@ class Reserve:
         """A frame was planned; displayed frames are ``period_us`` apart."""
         if supply is Supply.BASE_MISSING:
             self.hold()
-        elif supply is Supply.COMPLETE and (self.frames + 1) * period_us <= self._longest_us:
+        elif supply is Supply.COMPLETE:
+            self.reach_on(period_us)
+
+    def reach_on(self, period_us: float) -> None:
+        """One frame more, if it is displayed soon enough; displayed frames are ``period_us`` apart."""
+        if (self.frames + 1) * period_us <= self._longest_us:
             self.frames += 1
 
     def hold(self) -> None:

@@ -177,7 +177,7 @@ class TilePlanner:
         self._decided_us = now_us
         if newest:
             self._held_is_good |= not lacking
-            self._served(supply(observation, decision), record)
+            self._served(supply(observation, decision), record, now_us)
         record.tile_bytes += decision.bytes
         self._dispatch.budget.close(earned_bytes - decision.bytes, now_us)
         record.visible_tiles, record.upgrades = len(tiles), len(decision.upgrades)
@@ -214,13 +214,22 @@ class TilePlanner:
         )
         return observation, earned_bytes
 
-    def _served(self, found: Supply, record: FrameRecord) -> None:
+    def _served(self, found: Supply, record: FrameRecord, now_us: int) -> None:
         """The frame of ``record`` has been planned: more detail may follow, and the reserve may grow."""
         self._newest = None if found is Supply.COMPLETE else record
         if self._reserve_is_full(record):
             self._schedule.reserve.hold()
+        elif self._is_out_of_reach(record, now_us):
+            self._schedule.reserve.reach_on(self._schedule.planned_period_us)
         else:
             self._schedule.reserve.planned(found, period_us=self._schedule.planned_period_us)
+
+    def _is_out_of_reach(self, record: FrameRecord, now_us: int) -> bool:
+        """Whether nothing, however small, could arrive before the display of the frame ahead: over a path of so long a
+        delay every frame would be late, and for want of its first levels the reserve would never grow.
+        """
+        to_display_us = self._viewer.clock.to_server(record.ahead.display_us) - now_us
+        return self._schedule.timeline.playing and to_display_us - MARGIN_US <= self._link.newest.shortest_rtt_us
 
     def _reserve_is_full(self, record: FrameRecord) -> bool:
         """Whether what a larger reserve would reach next is not to be reached yet: because of what the client would

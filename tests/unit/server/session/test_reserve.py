@@ -62,6 +62,8 @@ def test_it_lies_between_its_bounds(plans: list[tuple[Supply, float]], least: in
     for supply, period_us in plans:
         reserve.planned(supply, period_us=period_us)
         assert least <= reserve.frames <= max(least, longest_s * 1e6 / longest)
+        reserve.reach_on(period_us)
+        assert least <= reserve.frames <= max(least, longest_s * 1e6 / longest)
     reserve.restart()
     assert reserve.frames == least
 
@@ -81,6 +83,22 @@ def test_over_an_idle_link_each_frame_ends_earlier_than_the_one_before() -> None
     assert leads == sorted(leads)
     ended = ends(sent)
     assert ended == list(range(ended[-1] + 1)), "each once, and in order"
+
+
+def test_over_a_path_of_long_delay_it_reaches_what_can_still_arrive(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a round trip of a second 89 of 90 frames were late over an idle link: no first level of a frame could come in
+    time, and for want of them the frames after it were not looked at.
+    """
+    monkeypatch.setattr(tile_planner, "supply", lambda *_: Supply.DETAIL_MISSING)
+    rig = Rig(replace(RESERVED, reserve_s=1.0), frames=60, gof=60)
+    rig.play()
+    rtt_us, leads = 800_000, []
+    for _ in range(30):
+        rig.streamer._link.on_ack(replace(rig.streamer._link.newest, rtt_us=rtt_us, shortest_rtt_us=rtt_us))
+        rig.step()
+        record = rig.streamer.stats.records[-1]
+        leads.append(record.ahead.display_us + OFFSET_US - record.planned_us)
+    assert leads[0] < rtt_us < leads[-1]
 
 
 def test_a_seek_begins_without_a_reserve() -> None:
