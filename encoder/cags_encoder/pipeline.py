@@ -216,6 +216,8 @@ class _Encoding:
         """The trained codec with its measured LoD order, or the one recorded by a killed run."""
         samples = self._samples()
         codec = train_codec(samples, self._settings, self._weights(samples))
+        if isinstance(codec, SvqCodec):
+            codec = codec.modelled(self._source.frame(0))
         self._tell("codebooks", 1, 1)
         if self._journal:
             self._journal.codebooks(codec.codebooks())

@@ -53,8 +53,6 @@ TESTED_THROUGH = {
     "cags_bench.reproduce": "tests/unit/bench/reproduce/test_reproduce.py",
     "cags_bench.sim": "tests/unit/bench/stream/test_stream.py",
     "cags_bench.stream": "tests/unit/bench/stream/test_stream.py",
-    "cags_bench.stream_report": "tests/unit/bench/stream/test_stream.py",
-    "cags_bench.tables": "tests/unit/bench/test_cli.py",
     "cags_bench.web": "tests/unit/bench/test_web.py",
 }
 """Modules, or packages of them, that no test of their package imports, and the test that runs them."""

@@ -47,6 +47,7 @@ OF_THE_PAGE = {
     ("decode/positions", "cags_common.tiles.lod"): "MAX_POSITION_LAYERS POSITION",
     ("decode/manifest", "cags_common.bundle.manifest"): "VERSION MAX_MANIFEST_BYTES MAX_FRAMES",
     ("decode/manifest", "cags_common.bundle.view"): "MAX_TITLE FARTHEST_M",
+    ("decode/contexts", "cags_common.tiles.contexts"): "MAX_CODE_BITS MAX_PREFIX_BITS MAX_LANES SYMBOLS_A_LANE",
     ("decode/codebooks", "cags_common.tiles.svq"): "MAX_BASE_BITS MAX_LAYER_BITS MAX_STAGE_BITS MAX_CODEBOOK_BYTES",
     ("decode/dequantise", "cags_kernels.codec"): "COLUMNS",
     ("store/reorderBuffer", "cags_common.store.reorder_buffer"): "MAX_WAITING_BYTES",

@@ -20,6 +20,7 @@ SOURCES = [
         NATIVE / name
         for name in (
             "codec/abi.cpp",
+            "codec/symbols.cpp",
             "motion/apply.cpp",
             "motion/neighbours.cpp",
             "motion/symbols.cpp",
@@ -33,6 +34,8 @@ EXPORTS = (
     "cags_web_pack",
     "cags_codec_dequantise",
     "cags_codec_positions",
+    "cags_codec_nearest",
+    "cags_codec_decode",
     "cags_symbols_decoder_bytes",
     "cags_symbols_open",
     "cags_symbols_take",

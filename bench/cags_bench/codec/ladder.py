@@ -85,10 +85,10 @@ def train(source: FrameSource, splats: Splats, variant: Variant) -> SvqCodec:
     rows = np.sort(np.random.default_rng(0).permutation(len(splats))[:TRAIN_SPLATS])
     samples, rasteriser = splats.take(rows), create("auto")
     if rasteriser.name == "oracle":
-        return SvqCodec.train(samples, variant.settings, None, variant.config)
+        return SvqCodec.train(samples, variant.settings, None, variant.config).modelled(splats)
     around = cameras_around(source.focus, source.up, IMPORTANCE_VIEWS)
     weights = importance(samples, around, rasteriser) if variant.weighted else None
-    codec = SvqCodec.train(samples, variant.settings, weights, variant.config)
+    codec = SvqCodec.train(samples, variant.settings, weights, variant.config).modelled(splats)
     if not variant.measured:
         return codec
     cameras = cameras_around(source.focus, source.up, VIEWS)

@@ -2,8 +2,9 @@
 
 LoD 0 of a tile (``encode_base``) is a fixed header, the ids (absent in key frames, whose tiles are id ranges), a Draco
 point cloud of the highest bits of the positions on a grid, in the tile's order, and every attribute's base codes. Each
-further LoD is one enhancement layer's bits (``encode_layer``), or the next bit of positions
-(``encode_position_layer``). Codes are packed, and deflated where that is shorter. CRCs travel beside payloads: one
+further LoD is one enhancement layer's bits (``encode_looks_layer``), or the next bit of positions
+(``encode_position_layer``). Codes of layers that have a model are coded by context (:mod:`.contexts`); others are
+packed, and deflated where that is shorter. CRCs travel beside payloads: one
 flipped byte makes Draco decode wrong values without an error. Layout: ``docs/bundle.md``.
 """
 
@@ -35,8 +36,9 @@ from cags_common.errors import DecodeError
 from cags_common.geometry import F32, axis_bounds
 from cags_common.splats import MAX_SPLATS, Ids
 from cags_common.tiles import dequantise
+from cags_common.tiles.contexts import I32, decode_codes, encode_codes, nearest
 from cags_common.tiles.lod import MAX_POSITION_LAYERS
-from cags_common.tiles.svq import MAX_LAYER_BITS, CodebookSet
+from cags_common.tiles.svq import MAX_LAYER_BITS, Codebook, CodebookSet
 
 KEY_TILE_SPLATS = 8_000
 DELTA_TILE_SPLATS = 4_000
@@ -52,9 +54,9 @@ MAX_POSITION = 1e30
 """Bound on coordinates: sums and products of grids stay inside float32."""
 
 DRACO_LEVEL = 7
-BASE_VERSION = 9
+BASE_VERSION = 10
 """Version 1 carried base codes as generic attributes inside Draco, which took as long to decode as the positions;
-version 2 had no layers of positions.
+version 2 had no layers of positions, version 9 no codes by context.
 """
 
 _BASE_HEADER = struct.Struct("<BBBBIII4f")
@@ -101,6 +103,10 @@ class PositionGrid:
         cells = np.rint((means.astype(np.float64) - self.origin) / self.step)
         return np.clip(cells, 0, 2**self.bits - 1).astype(np.uint32)
 
+    def coarse(self, means: F32) -> F32:
+        """Integer coordinates [n, 3] of ``means`` without the bits of the layers, as LoD 0 tells them."""
+        return (self.quantise(means) >> np.uint32(self.layers)).astype(np.float32)
+
     def dequantise(self, cells: Any, layers: int | None = None) -> F32:
         """Means [n, 3] of integer coordinates that have the bits of the first ``layers`` only; None: of all."""
         lacking = 0 if layers is None else self.layers - layers
@@ -126,6 +132,11 @@ class BaseTile:
     def means(self) -> F32:
         """Positions [n, 3] as LoD 0 tells them, world, metres."""
         return self.grid.dequantise(self.cells, 0)
+
+    @cached_property
+    def near(self) -> I32:
+        """The near ones [n, 2] of each splat, by which codes are coded."""
+        return nearest(self.cells)
 
     def refined(self, bits: Sequence[NDArray[np.uint8]]) -> F32:
         """Positions [n, 3] with the first layers' ``bits`` [n, 3], world, metres."""
@@ -155,24 +166,42 @@ def encode_base(
     id_bytes = b"" if id_range else encode_ids(ids)
     id_field = (int(ids[0]) if len(ids) else 0) if id_range else len(id_bytes)
     ox, oy, oz = (float(c) for c in grid.origin)
-    draco = _draco_encode(grid.quantise(means) >> np.uint32(grid.layers), grid.bits - grid.layers) if len(ids) else b""
+    cells = grid.coarse(means)
+    draco = _draco_encode(cells, grid.bits - grid.layers) if len(ids) else b""
     flags = _ID_RANGE * id_range | grid.layers << _LAYERS_SHIFT
-    packed = b"".join(pack_bits(codes[book.attribute], book.layer_bits[0]) for book in codebooks)
     header = _BASE_HEADER.pack(
         *(BASE_VERSION, flags, grid.bits, len(codebooks), len(ids), id_field, len(draco)),
         *(ox, oy, oz, grid.step),
     )
-    return header + id_bytes + draco + squeeze(packed)
+    return header + id_bytes + draco + _encoded_base(codes, codebooks, near_of(cells, codebooks))
+
+
+def near_of(cells: F32, codebooks: CodebookSet) -> I32 | None:
+    """Near ones [n, 2] of splats at the ``cells`` [n, 3] of LoD 0; None where no codes are coded by context."""
+    return nearest(cells) if any(any(book.models) for book in codebooks) else None
+
+
+def _encoded_base(codes: Mapping[str, U32], codebooks: CodebookSet, near: I32 | None) -> bytes:
+    """The bytes of what is coded by context, u32 each, and these parts; then all that is packed."""
+    parts = [
+        encode_codes(model, codes[book.attribute], None, near)
+        for book in codebooks
+        if (model := book.model(0)) is not None and near is not None
+    ]
+    packed = [pack_bits(codes[b.attribute], b.layer_bits[0]) for b in codebooks if b.model(0) is None]
+    return b"".join([struct.pack(f"<{len(parts)}I", *map(len, parts)), *parts, squeeze(b"".join(packed))])
 
 
 def decode_base(payload: bytes | memoryview, codebooks: CodebookSet) -> BaseTile:
     """Inverse of :func:`encode_base`. Raises :class:`DecodeError` for damaged payloads."""
     head = _read_header(payload, len(codebooks))
     ids, (draco, codes) = _read_ids(payload, head), head.sections(payload)
-    layers = _base_layers(codes, head.splats, codebooks)
-    if head.splats == 0:
-        return BaseTile(ids, head.grid, np.zeros((0, 3), np.float32), layers)
-    return BaseTile(ids, head.grid, _draco_decode(bytes(draco), head.splats, head.grid), layers)
+    cells = np.zeros((0, 3), np.float32)
+    if head.splats:
+        cells = _draco_decode(bytes(draco), head.splats, head.grid)
+    tile = BaseTile(ids, head.grid, cells, {})
+    tile.layers.update(_base_layers(codes, tile, codebooks))
+    return tile
 
 
 def position_bytes(payload: bytes | memoryview) -> int:
@@ -180,14 +209,21 @@ def position_bytes(payload: bytes | memoryview) -> int:
     return len(payload) - len(_read_header(payload, None).sections(payload)[1])
 
 
-def _base_layers(data: memoryview, count: int, codebooks: CodebookSet) -> dict[str, PackedCodes]:
-    sizes = {book.attribute: packed_bytes(count, book.layer_bits[0]) for book in codebooks}
-    packed, at, layers = unsqueeze(data, sum(sizes.values()), "tile: base codes"), 0, {}
-    for book in codebooks:
-        end = at + sizes[book.attribute]
-        layers[book.attribute] = PackedCodes(packed[at:end], book.layer_bits[0])
-        at = end
-    return layers
+def _base_layers(data: memoryview, tile: BaseTile, codebooks: CodebookSet) -> dict[str, PackedCodes]:
+    models = {book.attribute: model for book in codebooks if (model := book.model(0)) is not None}
+    at, layers = 4 * len(models), dict[str, PackedCodes]()
+    sizes = struct.unpack_from(f"<{len(models)}I", data) if len(data) >= at else (len(data),)
+    if at + sum(sizes) > len(data):
+        raise DecodeError(f"tile: base codes are cut short after {len(data)} bytes")
+    for (name, model), size in zip(models.items(), sizes, strict=True):
+        layers[name] = decode_codes(data[at : at + size], model, None, tile.near)[1]
+        at += size
+    packed = {b.attribute: packed_bytes(len(tile), b.layer_bits[0]) for b in codebooks if b.attribute not in models}
+    rest, begin = unsqueeze(data[at:], sum(packed.values()), "tile: base codes"), 0
+    for name, size in packed.items():
+        layers[name] = PackedCodes(rest[begin : begin + size], codebooks[name].layer_bits[0])
+        begin += size
+    return {book.attribute: layers[book.attribute] for book in codebooks}
 
 
 def base_parts(payload: bytes | memoryview) -> dict[str, int]:
@@ -203,8 +239,16 @@ def decode_base_ids(payload: bytes | memoryview) -> Ids:
 
 
 def encode_layer(codes: U32, bits: int) -> bytes:
-    """One enhancement layer: ``codes`` [n] < 2**bits."""
+    """One enhancement layer without a model: ``codes`` [n] < 2**bits."""
     return squeeze(pack_bits(codes, bits))
+
+
+def encode_looks_layer(book: Codebook, layer: int, codes: U32, near: I32 | None) -> bytes:
+    """Enhancement ``layer`` >= 1 of a tile of looks, of ``codes`` [n] of full length."""
+    own, model = book.layer(codes, layer), book.model(layer)
+    if model is None or near is None:
+        return encode_layer(own, book.layer_bits[layer])
+    return encode_codes(model, own, book.prefix(codes, layer).astype(np.uint8), near)
 
 
 def encode_position_layer(means: F32, grid: PositionGrid, layer: int) -> bytes:
@@ -275,10 +319,10 @@ def _read_ids(payload: bytes | memoryview, head: _Header) -> Ids:
     return decode_ids(listed, what="tile ids", expected=head.splats)
 
 
-def _draco_encode(cells: U32, bits: int) -> bytes:
+def _draco_encode(cells: F32, bits: int) -> bytes:
     # Draco rounds to a grid of its own: spanned over [0, 2**bits - 1] with that many bits, its grid is the integers.
     encoded: bytes = DracoPy.encode(
-        cells.astype(np.float32),
+        cells,
         quantization_bits=max(bits, 1),
         quantization_range=float(2 ** max(bits, 1) - 1),
         quantization_origin=np.zeros(3),

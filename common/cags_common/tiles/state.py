@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.coding.packing import U32, PackedCodes
+from cags_common.coding.rans import U8
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32
 from cags_common.motion.apply import Steps
 from cags_common.splats import Ids, Splats
+from cags_common.tiles.contexts import decode_codes, with_layer
 from cags_common.tiles.dequantise import Dequantiser, FreshLayers
 from cags_common.tiles.kinds import TileKind
 from cags_common.tiles.lod import MAX_POSITION_LAYERS, POSITION, LodLayer, depths_at
@@ -45,7 +47,9 @@ class TileState:
         self._fresh: dict[str, list[PackedCodes]] = {name: [layer] for name, layer in base.layers.items()}
         self._positions = _Positions(base.grid.layers)
         self._depth = dict.fromkeys(self._books.attributes, 0)
-        self._waiting: dict[tuple[str, int], PackedCodes] = {}
+        self._prefixes: dict[str, U8] = {}
+        """Attribute -> codes [n] of the depth there is, while a further layer is coded by them."""
+        self._waiting: dict[tuple[str, int], bytes] = {}
 
     def __len__(self) -> int:
         return len(self.base)
@@ -86,8 +90,8 @@ class TileState:
             return self._positions.add(item.layer, payload, len(self))
         if item.layer <= self._depth[item.attribute]:
             return False
-        bits = self._books[item.attribute].bits_of(item.layer)
-        self._waiting[item.attribute, item.layer] = decode_layer(payload, len(self), bits)
+        self._books[item.attribute].bits_of(item.layer)  # which refuses one before its codebook
+        self._waiting[item.attribute, item.layer] = bytes(payload)
         return self._absorb(item.attribute)
 
     @property
@@ -99,7 +103,7 @@ class TileState:
         """Another state of what has come; what is added to one of the two does not change the other."""
         other = copy(self)
         other._fresh = {name: list(parts) for name, parts in self._fresh.items()}
-        other._depth, other._waiting = dict(self._depth), dict(self._waiting)
+        other._depth, other._waiting, other._prefixes = dict(self._depth), dict(self._waiting), dict(self._prefixes)
         other._positions = self._positions.fork()
         return other
 
@@ -115,6 +119,9 @@ class TileState:
             merged = self._depth[name] + 1 - len(self._fresh[name])  # layers that the codes hold
             other._fresh[name] = self._fresh[name][: max(depth + 1 - merged, 0)]
             other._depth[name] = depth
+            if name in other._prefixes:
+                lost = sum(self._books[name].layer_bits[depth + 1 : self._depth[name] + 1])
+                other._prefixes[name] = self._prefixes[name] >> np.uint8(lost)
             if codes is not None:
                 codes[row] >>= np.uint32(sum(self._books[name].layer_bits[depth + 1 : merged]))
         other._codes = codes
@@ -130,10 +137,27 @@ class TileState:
 
     def _absorb(self, attribute: str) -> bool:
         before = self._depth[attribute]
-        while (part := self._waiting.pop((attribute, self._depth[attribute] + 1), None)) is not None:
+        while (payload := self._waiting.pop((attribute, self._depth[attribute] + 1), None)) is not None:
+            self._fresh[attribute].append(self._decoded(attribute, self._depth[attribute] + 1, payload))
             self._depth[attribute] += 1
-            self._fresh[attribute].append(part)
         return self._depth[attribute] > before
+
+    def _decoded(self, attribute: str, layer: int, payload: bytes) -> PackedCodes:
+        """Codes of the next ``layer`` of an attribute. Raises :class:`DecodeError`."""
+        book, count = self._books[attribute], len(self)
+        bits, model, more = book.layer_bits[layer], book.model(layer), any(book.models[layer + 1 :])
+        if model is None and not more:
+            return decode_layer(payload, count, bits)
+        known = self._prefixes.get(attribute)
+        prefixes = self.base.layers[attribute].unpack(count).astype(np.uint8) if known is None else known
+        if model is None:
+            packed = decode_layer(payload, count, bits)
+            codes = packed.unpack(count).astype(np.uint8)
+        else:
+            codes, packed = decode_codes(payload, model, prefixes, self.base.near)
+        if more:
+            self._prefixes[attribute] = with_layer(prefixes, codes, bits)
+        return packed
 
 
 class _Positions:

@@ -22,6 +22,7 @@ from cags_common.coding.packing import U32, gunzip_bounded, gzip_numbers
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32, F64
 from cags_common.tiles.attributes import ATTRIBUTE_DIMS, SH_REST_ATTRIBUTES
+from cags_common.tiles.contexts import ContextModel, can_be_modelled
 
 MAX_BASE_BITS = 8
 """Base codes travel as single bytes."""
@@ -35,6 +36,9 @@ MAX_CODEBOOK_BYTES = 16 * 2**20
 
 MAX_STEPS = 2**15 - 1
 """Most steps between an entry of a table and its parent."""
+
+MODELLED_LAYERS = 8
+"""A byte says which of so many first layers have a model."""
 
 MAX_EXPONENT = 100
 """Steps of tables are powers of two from 2**-100 to 2**100."""
@@ -57,6 +61,8 @@ class Codebook:
     tree_layers: int | None = None
     """Layers of the first tree; None for all."""
     spreads: F32 | None = None
+    models: tuple[ContextModel | None, ...] = ()
+    """Of the first layers: how codes of tiles are coded by context; None, or none: they are packed."""
 
     def __post_init__(self) -> None:
         tree = self.first_stage
@@ -68,9 +74,24 @@ class Codebook:
         shapes = [(1 << bits, self.dim) for stage in stages for bits in accumulate(stage)]
         if [table.shape for table in self.tables] != shapes:
             raise DecodeError(f"{named} do not fit its tables {[table.shape for table in self.tables]}")
+        self._check_models()
         spreads = None if self.spreads is None else self.spreads.shape
         if spreads != ((1 << sum(stages[0]), self.dim) if stages[1] else None):
             raise DecodeError(f"{named} do not fit its spreads {spreads}")
+
+    def _check_models(self) -> None:
+        if len(self.models) > len(self.layer_bits):
+            raise DecodeError(f"codebook {self.attribute!r}: models of {len(self.models)} layers")
+        for layer, model in enumerate(self.models):
+            if model is None:
+                continue
+            expected = self.layer_bits[layer], sum(self.layer_bits[:layer])
+            if not can_be_modelled(self.layer_bits, layer) or (model.bits, model.prefix_bits) != expected:
+                raise DecodeError(f"codebook {self.attribute!r}: layer {layer} cannot have such a model")
+
+    def model(self, layer: int) -> ContextModel | None:
+        """How codes of ``layer`` (0 = base) are coded by context; None: they are packed."""
+        return self.models[layer] if layer < len(self.models) else None
 
     @property
     def first_stage(self) -> int:
@@ -101,16 +122,18 @@ class Codebook:
         """Whether the first layers of ``other`` are those of this book."""
         if self.attribute != other.attribute or len(self.layer_bits) > len(other.layer_bits):
             return False
-        short = other.truncated(len(self.layer_bits))
+        layers = len(self.layer_bits)
+        short = other.truncated(layers)
         same = self.layer_bits == short.layer_bits and self.first_stage == short.first_stage
-        return same and all(map(np.array_equal, self.tables, short.tables))
+        modelled = all(map(_same_model, map(self.model, range(layers)), map(short.model, range(layers))))
+        return same and modelled and all(map(np.array_equal, self.tables, short.tables))
 
     def truncated(self, layers: int) -> Codebook:
         """The codebook for codes that end after their first ``layers`` layers (1 = base only)."""
-        bits, tables = self.layer_bits[:layers], self.tables[:layers]
+        bits, tables, models = self.layer_bits[:layers], self.tables[:layers], self.models[:layers]
         if layers <= self.first_stage:
-            return Codebook(self.attribute, bits, tables)
-        return Codebook(self.attribute, bits, tables, self.tree_layers, self.spreads)
+            return Codebook(self.attribute, bits, tables, models=models)
+        return Codebook(self.attribute, bits, tables, self.tree_layers, self.spreads, models)
 
     def lookup(self, codes: U32, layers: int) -> F32:
         """Values [n, dim] of codes [n] that hold the first ``layers`` (1 = base only) layers' bits."""
@@ -131,6 +154,12 @@ class Codebook:
     def layer(self, codes: U32, layer: int) -> U32:
         """The bits [n] that ``layer`` (0 = base) adds, out of codes of full length."""
         return self.prefix(codes, layer + 1) & np.uint32((1 << self.layer_bits[layer]) - 1)
+
+
+def _same_model(one: ContextModel | None, other: ContextModel | None) -> bool:
+    if one is None or other is None:
+        return one is other
+    return np.array_equal(one.weights, other.weights)
 
 
 class CodebookSet:
@@ -221,7 +250,7 @@ class _Cursor:
 
 
 def _book_bytes(book: Codebook) -> bytes:
-    """Attribute index, layers of both stages, bits, tables, spreads.
+    """Attribute index, layers of both stages, bits, tables, spreads, models.
 
     A table is a power of two for each column and, in units of it, what its entries differ from their parents by.
     """
@@ -233,6 +262,9 @@ def _book_bytes(book: Codebook) -> bytes:
         parts.append(_table_bytes(book.attribute, table, np.repeat(parents, 1 << bits, axis=0)))
     if book.spreads is not None:
         parts.append(_spread_bytes(book.attribute, book.spreads))
+    known = [layer for layer in range(MODELLED_LAYERS) if book.model(layer) is not None]
+    parts.append(bytes([sum(1 << layer for layer in known)]))
+    parts += [model.weights.tobytes() for model in book.models if model is not None]
     return b"".join(parts)
 
 
@@ -284,10 +316,26 @@ def _read_book(body: _Cursor) -> Codebook:
         raise DecodeError(f"codebook {attribute!r}: layers of {layer_bits} bits are outside the allowed range")
     tables = tuple(table for stage in stages for table in _read_stage(body, stage, attribute))
     if not above:
-        return Codebook(attribute, layer_bits, tables)
+        return Codebook(attribute, layer_bits, tables, models=_read_models(body, layer_bits, attribute))
     words = np.frombuffer(body.take(ATTRIBUTE_DIMS[attribute] << sum(stages[0])), np.uint8).astype(np.uint16) << 7
     spreads = words.view(np.float16).reshape(-1, ATTRIBUTE_DIMS[attribute]).astype(np.float32)
-    return Codebook(attribute, layer_bits, tables, tree, _finite(spreads, attribute))
+    spreads = _finite(spreads, attribute)
+    return Codebook(attribute, layer_bits, tables, tree, spreads, _read_models(body, layer_bits, attribute))
+
+
+def _read_models(body: _Cursor, layer_bits: tuple[int, ...], attribute: str) -> tuple[ContextModel | None, ...]:
+    which = body.byte()
+    models: list[ContextModel | None] = []
+    for layer in range(which.bit_length()):
+        if not which >> layer & 1:
+            models.append(None)
+            continue
+        if layer >= len(layer_bits) or not can_be_modelled(layer_bits, layer):
+            raise DecodeError(f"codebook {attribute!r}: layer {layer} cannot have such a model")
+        shape = ContextModel.shape_of(layer_bits[layer], sum(layer_bits[:layer]))
+        weights = np.frombuffer(body.take(shape[0] * shape[1]), np.uint8).reshape(shape)
+        models.append(ContextModel(layer_bits[layer], sum(layer_bits[:layer]), weights))
+    return tuple(models)
 
 
 def _read_stage(body: _Cursor, layer_bits: tuple[int, ...], attribute: str) -> Iterator[F32]:

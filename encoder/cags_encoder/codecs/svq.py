@@ -13,20 +13,29 @@ from cags_common.coding.packing import U32
 from cags_common.geometry import F32, F64
 from cags_common.splats import Ids, Splats
 from cags_common.tiles.attributes import join_attributes
+from cags_common.tiles.contexts import I32, nearest
 from cags_common.tiles.lod import MAX_POSITION_LAYERS, POSITION, LodLayer, position_layers
+from cags_common.tiles.morton import morton_order, tile_ranges
 from cags_common.tiles.payloads import (
+    DELTA_TILE_SPLATS,
+    KEY_TILE_SPLATS,
     MAX_POSITION_BITS,
     PositionGrid,
     encode_base,
-    encode_layer,
+    encode_looks_layer,
     encode_position_layer,
+    near_of,
 )
+from cags_encoder.codecs.context_models import Tile, models_of
 from cags_encoder.codecs.lod_order import order_of
 from cags_encoder.quantiser.configs import COARSE_STEP, QuantiserConfig, quantiser_config
 from cags_encoder.settings import EncodeSettings
 
 if TYPE_CHECKING:
     from cags_encoder.quantiser.training import Quantiser
+
+SPARSE = 8
+"""Tiles of one splat in so many stand for what appears in later frames, further apart than in a key frame."""
 
 SMALL_SPLATS = 0.25
 """Quantile of a tile's radii that determines its position step."""
@@ -108,6 +117,18 @@ class SvqCodec:
         """PSNR of renders with every level; None if it was not measured."""
         return None if self.base_psnr_db is None else self.base_psnr_db + sum(self.lod_gains_db)
 
+    def modelled(self, first: Splats) -> SvqCodec:
+        """The codec with models of the codes of ``first`` [n], a key frame, where they pay."""
+        coded = self.quantise(self.prepare(first)).take(morton_order(first.means))
+        dense, sparse = self._tiles(coded, KEY_TILE_SPLATS), list[Tile]()
+        if len(first) >= SPARSE * DELTA_TILE_SPLATS:
+            sparse = self._tiles(coded.take(slice(None, None, SPARSE)), DELTA_TILE_SPLATS)
+        return replace(self, quantiser=self.quantiser.modelled(models_of(self.quantiser.books, dense, sparse)))
+
+    def _tiles(self, coded: SvqSplats, most: int) -> list[Tile]:
+        cut = [coded.take(slice(*ends)) for ends in tile_ranges(len(coded.means), most)]
+        return [(tile.codes, nearest(self.grid(tile).coarse(tile.means))) for tile in cut]
+
     def codebooks(self) -> bytes:
         """Serialised :class:`~cags_common.tiles.svq.CodebookSet`."""
         return self.quantiser.books.to_bytes()
@@ -143,7 +164,8 @@ class SvqCodec:
     def encode_tile(self, ids: Ids, coded: SvqSplats, *, id_range: bool) -> tuple[bytes, ...]:
         """Coarse positions, by Draco, and base layers; then one packed layer per LoD."""
         grid = self.grid(coded)
-        layers = (self._layer(coded, grid, item) for item in self.lod_order)
+        near = self._near(coded, grid)
+        layers = (self._layer(coded, grid, near, item) for item in self.lod_order)
         return self._base(ids, coded, grid, id_range=id_range), *layers
 
     def base_bytes(self, coded: SvqSplats) -> int:
@@ -152,18 +174,21 @@ class SvqCodec:
 
     def layer_bytes(self, coded: SvqSplats, item: LodLayer) -> int:
         """Size of one layer of one tile."""
-        return len(self._layer(coded, self.grid(coded), item))
+        grid = self.grid(coded)
+        return len(self._layer(coded, grid, self._near(coded, grid), item))
 
     def _base(self, ids: Ids, coded: SvqSplats, grid: PositionGrid, *, id_range: bool) -> bytes:
         books = self.quantiser.books
         base = {name: books[name].layer(codes, 0) for name, codes in coded.codes.items()}
         return encode_base(ids, coded.means, base, grid, books, id_range=id_range)
 
-    def _layer(self, coded: SvqSplats, grid: PositionGrid, item: LodLayer) -> bytes:
+    def _near(self, coded: SvqSplats, grid: PositionGrid) -> I32 | None:
+        return near_of(grid.coarse(coded.means), self.quantiser.books)
+
+    def _layer(self, coded: SvqSplats, grid: PositionGrid, near: I32 | None, item: LodLayer) -> bytes:
         if item.attribute == POSITION:
             return encode_position_layer(coded.means, grid, item.layer)
-        book = self.quantiser.books[item.attribute]
-        return encode_layer(book.layer(coded.codes[item.attribute], item.layer), book.layer_bits[item.layer])
+        return encode_looks_layer(self.quantiser.books[item.attribute], item.layer, coded.codes[item.attribute], near)
 
     def grid(self, coded: SvqSplats) -> PositionGrid:
         """A tile's grid, fine enough for the smaller ones of its splats: an error shows against a splat's own size.

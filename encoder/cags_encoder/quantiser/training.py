@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -11,6 +12,7 @@ from cags_common.coding.packing import U32
 from cags_common.geometry import F32, F64
 from cags_common.splats import Splats
 from cags_common.tiles.attributes import split_attributes
+from cags_common.tiles.contexts import ContextModel
 from cags_common.tiles.svq import Codebook, CodebookSet
 from cags_encoder.quantiser.canonical import canonical
 from cags_encoder.quantiser.configs import QuantiserConfig
@@ -43,6 +45,17 @@ class _Truncated:
         return self._whole.book.prefix(self._whole.encode(values), self._layers)
 
 
+class _Modelled:
+    """An encoder whose codes of tiles are coded by context."""
+
+    def __init__(self, whole: AttributeEncoder, models: tuple[ContextModel | None, ...]) -> None:
+        self._whole, self.book = whole, replace(whole.book, models=models)
+
+    def encode(self, values: F32) -> U32:
+        """Codes [n] of raw values [n, dim]."""
+        return self._whole.encode(values)
+
+
 class Quantiser:
     """The codebooks of a clip, and the encoding with them."""
 
@@ -65,6 +78,11 @@ class Quantiser:
         encoders = {
             name: _Truncated(each, 1 + enhancement_layers.get(name, 0)) for name, each in self._encoders.items()
         }
+        return Quantiser(encoders, canonical_axes=self.canonical_axes)
+
+    def modelled(self, models: Mapping[str, tuple[ContextModel | None, ...]]) -> Quantiser:
+        """The same quantiser with ``models`` of the first layers by attribute."""
+        encoders = {name: _Modelled(each, models.get(name, ())) for name, each in self._encoders.items()}
         return Quantiser(encoders, canonical_axes=self.canonical_axes)
 
     def decode(self, codes: dict[str, U32]) -> dict[str, F32]:

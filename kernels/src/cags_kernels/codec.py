@@ -148,3 +148,76 @@ def positions(cells: F32, origin: NDArray[np.float64], step: float) -> F32:
     status = call(*sized(cells), address(origin), ctypes.c_double(step), *sized(means))
     check(status, "codec_positions")
     return means
+
+
+@native("CagsCodecSymbols")
+class _Symbols(ctypes.Structure):
+    _fields_ = [
+        *((name, _Pointer) for name in ("prefixes", "nearest", "frequencies")),
+        *((name, _int32) for name in ("bits", "prefix_bits")),
+        ("lengths", _int64 * 3),
+    ]
+
+
+class DamagedCodesError(ValueError):
+    """Codes that are not what an encoder wrote; the message says why, for a sentence that begins with what it is of."""
+
+
+_DAMAGE = {16: "end too early", 18: "the data does not end where its symbols do"}
+
+
+@dataclass(frozen=True, eq=False)
+class Symbols:
+    """How the codes of one layer are coded; see ``cags_common.tiles.contexts``."""
+
+    prefixes: NDArray[np.uint8] | None  # [n]
+    nearest: NDArray[np.int32]  # [n, 2]
+    frequencies: NDArray[np.uint16]  # [contexts, 2**bits]
+    bits: int
+    prefix_bits: int
+
+    def structure(self) -> _Symbols:
+        """What the library takes; valid while ``self`` lives. Raises ``ValueError`` for arrays that do not fit."""
+        for name, kind in (("prefixes", np.uint8), ("nearest", np.int32), ("frequencies", np.uint16)):
+            array = getattr(self, name)
+            if array is not None and (array.dtype != kind or not array.flags.c_contiguous):
+                raise ValueError(f"{name} of {array.dtype}: C-contiguous {np.dtype(kind)} is expected")
+        *arrays, lengths = fields(self.prefixes, self.nearest, self.frequencies)
+        return _Symbols(*arrays, self.bits, self.prefix_bits, lengths)
+
+
+def nearest(cells: F32) -> NDArray[np.int32]:
+    """Of splats at ``cells`` [n, 3] the two nearest ones [n, 2] whose codes come before; -1: none."""
+    if cells.dtype != np.float32 or cells.ndim != 2 or cells.shape[1] != 3:
+        raise ValueError(f"cells of {cells.dtype} and shape {cells.shape}")
+    cells, found = np.ascontiguousarray(cells), np.empty((len(cells), 2), np.int32)
+    check(library().cags_codec_nearest(*sized(cells), *sized(found)), "codec_nearest")
+    return found
+
+
+def decode(symbols: Symbols, data: bytes | memoryview, lanes: int) -> tuple[NDArray[np.uint8], bytes]:
+    """The codes [n] of one layer, and the same packed.
+
+    Raises :class:`DamagedCodesError`, and ``KernelError`` for what does not fit.
+    """
+    count = len(symbols.nearest)
+    codes, packed = np.empty(count, np.uint8), np.empty((count * symbols.bits + 7) // 8, np.uint8)
+    given = symbols.structure()
+    call = library().cags_codec_decode
+    read = bytes(data)
+    sizes = (read, _int64(len(read)), _int64(lanes), *sized(codes), *sized(packed))
+    status = call(ctypes.byref(given), *sizes)
+    if status in _DAMAGE:
+        raise DamagedCodesError(_DAMAGE[status])
+    check(status, "codec_decode")
+    return codes, packed.tobytes()
+
+
+def encode(symbols: Symbols, codes: NDArray[np.uint8], lanes: int) -> tuple[NDArray[np.uint32], NDArray[np.uint16]]:
+    """Final states [lanes] and words of the ``codes`` [n]. Raises ``KernelError`` for what does not fit."""
+    states, words, count = np.empty(lanes, np.uint32), np.empty(len(codes), np.uint16), _int64()
+    given = symbols.structure()
+    call = library().cags_codec_encode
+    sizes = (*sized(codes), _int64(lanes), *sized(states), *sized(words))
+    check(call(ctypes.byref(given), *sizes, ctypes.byref(count)), "codec_encode")
+    return states, words[: count.value]

@@ -90,6 +90,26 @@ def dequantise() -> np.ndarray:
     return codec.dequantise(attributes, b"\x0f\x0f", before, columns, rodrigues=False)
 
 
+NEAR = np.array([[-1, -1], [0, -1], [0, 1]], np.int32)
+LIKELY = codec.Symbols(np.array([1, 0, 1], np.uint8), NEAR, np.full((18, 4), 1024, np.uint16), 2, 1)
+CODES = np.array([3, 0, 2], np.uint8)
+
+
+def near_ones() -> Any:
+    return codec.nearest(np.arange(9, dtype=np.float32).reshape(3, 3))
+
+
+def encode_codes() -> Any:
+    return codec.encode(LIKELY, CODES, 1)
+
+
+def decode_codes() -> Any:
+    states, words = codec.encode(LIKELY, CODES, 1)
+    codes, _ = codec.decode(LIKELY, states.tobytes() + words.tobytes(), 1)
+    assert codes.tolist() == CODES.tolist()
+    return codes
+
+
 def positions() -> np.ndarray:
     return codec.positions(np.ones((4, 3), np.float32), np.ones(3), 0.5)
 
@@ -148,6 +168,9 @@ def move_rows() -> np.ndarray:
 ENTRIES: dict[str, tuple[Callable[[], Any], int, tuple[str, ...]]] = {
     "cags_codec_dequantise": (dequantise, 16, ("lengths[1] of 0", "lengths[1] of 1")),
     "cags_codec_positions": (positions, 2, ()),
+    "cags_codec_nearest": (near_ones, 2, ()),
+    "cags_codec_encode": (encode_codes, 6, ()),
+    "cags_codec_decode": (decode_codes, 5, ()),
     "cags_symbols_count": (lambda: motion.count_symbols(TABLES, SYMBOLS), 3, ()),
     "cags_symbols_encode": (encode_symbols, 7, ("lengths[2]", "lengths[3]", "lengths[4]", "lengths[5]")),
     "cags_symbols_open": (take, 2, ()),

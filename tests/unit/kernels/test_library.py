@@ -24,6 +24,7 @@ STRUCTURES = {
     "CagsCodecAttribute": codec._Attribute,
     "CagsCodecTile": codec._Tile,
     "CagsCodecTargets": codec._Targets,
+    "CagsCodecSymbols": codec._Symbols,
     "CagsMotionTree": motion._Tree,
     "CagsMotionTile": motion._Tile,
     "CagsMotionArrays": motion._Arrays,

@@ -18,13 +18,14 @@ import numpy as np
 from cags_common.bundle.codecs import tile_codec
 from cags_common.bundle.manifest import VERSION, Manifest
 from cags_common.tiles.attributes import ATTRIBUTE_DIMS
+from cags_common.tiles.contexts import ContextModel, nearest
 from cags_common.tiles.lod import POSITION, LodLayer
-from cags_common.tiles.payloads import PositionGrid, encode_base, encode_layer, encode_position_layer
+from cags_common.tiles.payloads import PositionGrid, encode_base, encode_looks_layer, encode_position_layer
 from cags_common.tiles.ramps import LONGEST_RAMP
 from cags_common.tiles.svq import Codebook, CodebookSet
 from cags_common.tiles.updates import RAMP_COLUMNS, Change, UpdateState, encode_update
 
-SPLATS = 21
+SPLATS = 83
 STAGES = {
     "scale": ((4, 2), (2, 1)),
     "rotation": ((4,), (3,)),
@@ -32,6 +33,8 @@ STAGES = {
     "sh0": ((3, 1), ()),
     "sh1": ((1, 8), ()),
 }
+MODELLED = {"scale": (0, 1), "rotation": (0, 1), "sh0": (1,)}
+"""Layers whose codes are coded by context."""
 CLOUDS = {"a key frame's tile": True, "a later frame's tile": False}
 POSITION_LAYERS = {True: 3, False: 2}
 """Layers of positions of a key frame's tile, as many as the order has, and of a later frame's, which has fewer."""
@@ -50,8 +53,20 @@ def books() -> CodebookSet:
         shape = (1 << sum(first), ATTRIBUTE_DIMS[name])
         words = random.integers(0, 31 << 3, shape).astype(np.uint16) << 7  # every positive float16 of 3 bits
         spreads = words.view(np.float16).astype(np.float32) if second else None
-        made[name] = Codebook(name, first + second, tables, len(first), spreads)
+        models = tuple(
+            _model(first + second, layer, random) if layer in MODELLED.get(name, ()) else None for layer in (0, 1)
+        )
+        made[name] = Codebook(name, first + second, tables, len(first), spreads, models)
     return CodebookSet(made)
+
+
+def _model(bits: tuple[int, ...], layer: int, random: np.random.Generator) -> ContextModel:
+    """Weights with which zeros are likely, and a row of zeros."""
+    shape = ContextModel.shape_of(bits[layer], sum(bits[:layer]))
+    weights = random.integers(0, 12, shape).astype(np.uint8)
+    weights[:, 0] = random.integers(100, 256, shape[0])
+    weights[1] = 0
+    return ContextModel(bits[layer], sum(bits[:layer]), weights)
 
 
 def manifest(codebooks: CodebookSet) -> Manifest:
@@ -64,21 +79,30 @@ def manifest(codebooks: CodebookSet) -> Manifest:
     return Manifest("vector", 30.0, 1, (0,), (99,), 1, ((0, 0, 0), (1, 1, 1)), order, ())
 
 
+def _codes(book: Codebook, random: np.random.Generator) -> np.ndarray:
+    """Codes of full length, of which every layer is mostly zero, so that contexts make them shorter."""
+    codes = np.zeros(SPLATS, np.uint32)
+    for bits in book.layer_bits:
+        codes = codes << np.uint32(bits) | np.where(
+            random.random(SPLATS) < 0.2, random.integers(0, 1 << bits, SPLATS), 0
+        )
+    return codes.astype(np.uint32)
+
+
 def payloads(codebooks: CodebookSet, *, id_range: bool) -> list[bytes]:
     """One tile's, LoD by LoD."""
     random = np.random.default_rng(2)
     means = random.normal(size=(SPLATS, 3)).astype(np.float32)
     ids = np.arange(7, 7 + SPLATS, dtype=np.int32) * (1 if id_range else 3)
-    codes = {b.attribute: random.integers(0, 1 << sum(b.layer_bits), SPLATS).astype(np.uint32) for b in codebooks}
+    codes = {b.attribute: _codes(b, random) for b in codebooks}
     base = {book.attribute: book.layer(codes[book.attribute], 0) for book in codebooks}
     grid = PositionGrid.over(means, 12, POSITION_LAYERS[id_range])
-    out = [encode_base(ids, means, base, grid, codebooks, id_range=id_range)]
+    out, near = [encode_base(ids, means, base, grid, codebooks, id_range=id_range)], nearest(grid.coarse(means))
     for item in manifest(codebooks).lod_order:
         if item.attribute == POSITION:
             out.append(encode_position_layer(means, grid, item.layer))
             continue
-        book = codebooks[item.attribute]
-        out.append(encode_layer(book.layer(codes[item.attribute], item.layer), book.layer_bits[item.layer]))
+        out.append(encode_looks_layer(codebooks[item.attribute], item.layer, codes[item.attribute], near))
     return out
 
 

@@ -1,6 +1,7 @@
 /** Codebooks of Scalable Vector Quantisation, as `cags_common.tiles.svq`: rows that layered codes stand for. */
 import { DecodeError } from "../bytes/errors.ts";
 import { gunzip } from "../bytes/inflate.ts";
+import { canBeModelled, ContextModel, prefixBits } from "./contexts.ts";
 import { ATTRIBUTE_DIMS } from "./splats.ts";
 
 const MAGIC = "CAGSCB02";
@@ -21,14 +22,20 @@ export class Codebook {
   readonly firstStage: number;
   /** [leaves, dim]: the unit of the second tree's rows. */
   readonly spreads: Float32Array | undefined;
+  /** Of the first layers: how codes of tiles are coded by context; undefined: they are packed. */
+  readonly models: readonly (ContextModel | undefined)[];
 
-  constructor(attribute: string, layerBits: number[], tables: Float32Array[], firstStage: number, spreads?: Float32Array) {
+  constructor(
+    attribute: string, layerBits: number[], tables: Float32Array[], firstStage: number, spreads: Float32Array | undefined,
+    models: readonly (ContextModel | undefined)[],
+  ) {
     this.attribute = attribute;
     this.dim = ATTRIBUTE_DIMS.get(attribute)!;
     this.layerBits = layerBits;
     this.tables = tables;
     this.firstStage = firstStage;
     this.spreads = spreads;
+    this.models = models;
     if (layerBits.some((bits) => bits < 1 || bits > MAX_LAYER_BITS)) outside(attribute, layerBits);
   }
 
@@ -51,7 +58,10 @@ export class Codebook {
     const { layerBits, tables } = this;
     const same = (a: ArrayLike<number>, b: ArrayLike<number> | undefined): boolean =>
       a.length === b?.length && Array.prototype.every.call(a, (value: number, i: number) => value === b[i]);
-    return layerBits.every((bits, i) => bits === other.layerBits[i]) && tables.every((table, i) => same(table, other.tables[i]));
+    const none = new Uint16Array();
+    const modelled = layerBits.every((_, i) => same(this.models[i]?.frequencies ?? none, other.models[i]?.frequencies ?? none));
+    if (!modelled || !layerBits.every((bits, i) => bits === other.layerBits[i])) return false;
+    return tables.every((table, i) => same(table, other.tables[i]));
   }
 
   /** Bits of a code that holds the first `layers` layers. */
@@ -112,8 +122,25 @@ function readBook(body: Cursor): Codebook {
   const sums = stages.map((stage) => stage.reduce((a, b) => a + b, 0));
   if (!tree || bits.includes(0) || bits[0]! > MAX_BASE_BITS || Math.max(...sums) > MAX_STAGE_BITS) outside(attribute, bits);
   const tables = stages.flatMap((stage) => readStage(body, stage, attribute));
-  if (!above) return new Codebook(attribute, bits, tables, bits.length);
-  return new Codebook(attribute, bits, tables, tree, readSpreads(body, 2 ** sums[0]!, attribute));
+  const spreads = above ? readSpreads(body, 2 ** sums[0]!, attribute) : undefined;
+  return new Codebook(attribute, bits, tables, above ? tree : bits.length, spreads, readModels(body, bits, attribute));
+}
+
+function readModels(body: Cursor, layerBits: readonly number[], attribute: string): (ContextModel | undefined)[] {
+  const which = body.byte();
+  const models: (ContextModel | undefined)[] = [];
+  for (let layer = 0; which >> layer; layer++) {
+    if (!((which >> layer) & 1)) {
+      models.push(undefined);
+      continue;
+    }
+    if (layer >= layerBits.length || !canBeModelled(layerBits, layer)) {
+      throw new DecodeError(`codebook '${attribute}': layer ${layer} cannot have such a model`);
+    }
+    const [bits, below] = [layerBits[layer]!, prefixBits(layerBits, layer)];
+    models.push(new ContextModel(bits, below, body.take(ContextModel.size(bits, below))));
+  }
+  return models;
 }
 
 /** Tables of one tree: whole numbers of steps, a power of two for each column, from what the parents hold. */

@@ -25,7 +25,7 @@ export class Dequantiser {
   /** They may hold base layers only, and get the others later ({@link extend}). */
   readonly books: Map<string, Codebook>;
   readonly shDegree: number;
-  private readonly kernels: Kernels;
+  readonly kernels: Kernels;
   private readonly rodrigues: boolean;
   private readonly logits: boolean;
   private readonly tables = new Map<Float32Array, number>();

@@ -19,6 +19,11 @@ interface Exports {
   cags_codec_positions(
     cells: number, cellsLength: bigint, origin: number, step: number, means: number, meansLength: bigint,
   ): number;
+  cags_codec_nearest(cells: number, cellsLength: bigint, nearest: number, nearestLength: bigint): number;
+  cags_codec_decode(
+    model: number, data: number, bytes: bigint, lanes: bigint, codes: number, codesLength: bigint, packed: number,
+    packedLength: bigint,
+  ): number;
   cags_symbols_decoder_bytes(): bigint;
   cags_symbols_open(data: number, bytes: bigint, decoder: number, decoderBytes: bigint): number;
   cags_symbols_take(decoder: number, tables: number, tablesLength: bigint, symbols: number, symbolsLength: bigint): number;
@@ -34,7 +39,7 @@ interface Exports {
   cags_motion_rows(tiles: number, count: number, arrays: number, threads: number): number;
 }
 
-export type Numbers = Float32Array | Float64Array | Int32Array | Uint32Array | Uint8Array;
+export type Numbers = Float32Array | Float64Array | Int32Array | Uint32Array | Uint16Array | Uint8Array;
 
 /** One instance of the module. Everything that is not named a block is freed when the call ends. */
 export class Kernels {

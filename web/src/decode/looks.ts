@@ -1,5 +1,6 @@
 /** What a decoder holds of one tile of looks, as `cags_common.tiles.state`. */
 import { DecodeError } from "../bytes/errors.ts";
+import { decodeCodes, unpacked, withLayer } from "./contexts.ts";
 import type { Dequantiser } from "./dequantise.ts";
 import type { LodLayer } from "./manifest.ts";
 import { type PackedCodes, unpackInto } from "./packing.ts";
@@ -24,7 +25,9 @@ export class LooksTile {
   private codes: Uint32Array | undefined;
   private fresh: Map<string, PackedCodes[]>;
   private depth: Map<string, number>;
-  private waiting: Map<string, PackedCodes>;
+  /** Attribute -> codes [n] of the depth there is, while a further layer is coded by them. */
+  private prefixes: Map<string, Uint8Array>;
+  private waiting: Map<string, Uint8Array>;
   private positions: PositionLayers;
 
   /** `tables` are units of motion by the base code of scale. */
@@ -34,6 +37,7 @@ export class LooksTile {
     this.order = order;
     this.fresh = new Map([...base.layers].map(([name, layer]) => [name, [layer]]));
     this.depth = new Map([...dequantiser.books.keys()].map((name) => [name, 0]));
+    this.prefixes = new Map();
     this.waiting = new Map();
     this.positions = new PositionLayers(base.grid.layers);
     this.steps = tables && stepsOf(base, tables);
@@ -66,8 +70,8 @@ export class LooksTile {
     if (!item) throw new DecodeError(`tile: LoD ${lod} is outside 1 to ${this.order.length}`);
     if (item.attribute === POSITION) return this.positions.add(item.layer, payload, this.length);
     if (item.layer <= this.depth.get(item.attribute)!) return false;
-    const bits = this.dequantiser.books.get(item.attribute)!.bitsOf(item.layer);
-    this.waiting.set(`${item.attribute}/${item.layer}`, decodeLayer(payload, this.length, bits));
+    this.dequantiser.books.get(item.attribute)!.bitsOf(item.layer); // which refuses one before its codebook
+    this.waiting.set(`${item.attribute}/${item.layer}`, payload);
     return this.absorb(item.attribute);
   }
 
@@ -77,6 +81,7 @@ export class LooksTile {
     Object.assign(other, this);
     other.fresh = new Map([...this.fresh].map(([name, parts]) => [name, [...parts]]));
     other.depth = new Map(this.depth);
+    other.prefixes = new Map(this.prefixes);
     other.waiting = new Map(this.waiting);
     other.positions = this.positions.fork();
     return other;
@@ -97,6 +102,9 @@ export class LooksTile {
       const merged = held + 1 - this.fresh.get(name)!.length; // layers that the codes hold
       other.fresh.set(name, this.fresh.get(name)!.slice(0, Math.max(depth + 1 - merged, 0)));
       other.depth.set(name, depth);
+      const prefix = this.prefixes.get(name);
+      const lost = book.layerBits.slice(depth + 1, held + 1).reduce((a, b) => a + b, 0);
+      if (prefix) other.prefixes.set(name, prefix.map((code) => code >> lost));
       const shift = book.layerBits.slice(depth + 1, merged).reduce((a, b) => a + b, 0);
       if (codes && shift) {
         const part = codes.subarray(row * this.length, (row + 1) * this.length);
@@ -122,14 +130,31 @@ export class LooksTile {
     const before = this.depth.get(attribute)!;
     for (let at = before; ; at++) {
       const key = `${attribute}/${at + 1}`;
-      const part = this.waiting.get(key);
-      if (!part) {
-        this.depth.set(attribute, at);
-        return at > before;
-      }
+      const payload = this.waiting.get(key);
+      if (!payload) return at > before;
       this.waiting.delete(key);
-      this.fresh.get(attribute)!.push(part);
+      this.fresh.get(attribute)!.push(this.decoded(attribute, at + 1, payload));
+      this.depth.set(attribute, at + 1);
     }
+  }
+
+  /** Codes of the next `layer` of an attribute. Raises {@link DecodeError}. */
+  private decoded(attribute: string, layer: number, payload: Uint8Array): PackedCodes {
+    const book = this.dequantiser.books.get(attribute)!;
+    const [bits, model] = [book.layerBits[layer]!, book.models[layer]];
+    const more = book.models.slice(layer + 1).some(Boolean);
+    if (!model && !more) return decodeLayer(payload, this.length, bits);
+    const prefixes = this.prefixes.get(attribute) ?? unpacked(this.base.layers.get(attribute)!, this.length);
+    let codes: Uint8Array;
+    let packed: PackedCodes;
+    if (model) {
+      ({ codes, packed } = decodeCodes(this.dequantiser.kernels, payload, model, prefixes, this.base.near()));
+    } else {
+      packed = decodeLayer(payload, this.length, bits);
+      codes = unpacked(packed, this.length);
+    }
+    if (more) this.prefixes.set(attribute, withLayer(prefixes, codes, bits));
+    return packed;
   }
 }
 

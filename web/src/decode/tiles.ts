@@ -2,12 +2,14 @@
 import { DecodeError } from "../bytes/errors.ts";
 import { unsqueeze } from "../bytes/inflate.ts";
 import { type Codebook, MAX_LAYER_BITS } from "./codebooks.ts";
+import { decodeCodes, nearest } from "./contexts.ts";
 import type { Dequantiser } from "./dequantise.ts";
 import type { Draco } from "./draco.ts";
+import type { Kernels } from "./kernels.ts";
 import { decodeIds, MAX_SPLATS, type PackedCodes, packedBytes } from "./packing.ts";
 import { MAX_POSITION_LAYERS, meansOf, type PositionGrid } from "./positions.ts";
 
-export const BASE_VERSION = 9;
+export const BASE_VERSION = 10;
 export const MAX_TILE_SPLATS = 65_536;
 const MAX_POSITION_BITS = 22;
 const MAX_POSITION = 1e30;
@@ -26,6 +28,8 @@ export interface BaseTile {
   readonly means: Float32Array;
   /** Attribute -> n base codes, in coding order. */
   readonly layers: ReadonlyMap<string, PackedCodes>;
+  /** The near ones [n, 2] of each splat, by which codes are coded. */
+  readonly near: () => Int32Array;
 }
 
 interface Header {
@@ -44,15 +48,17 @@ export function decodeBase(payload: Uint8Array, dequantiser: Dequantiser, draco:
   const head = readHeader(payload, books.size);
   const ids = readIds(payload, head);
   const first = HEADER_BYTES + head.idBytes;
-  const layers = baseLayers(payload.subarray(first + head.dracoBytes), head.splats, books);
   const { grid, bits } = head;
-  if (!head.splats) return { ids, grid, cells: new Float32Array(0), means: new Float32Array(0), layers };
-  const cells = draco.points(payload.subarray(first, first + head.dracoBytes), head.splats);
+  const points = payload.subarray(first, first + head.dracoBytes);
+  const cells = head.splats ? draco.points(points, head.splats) : new Float32Array(0);
   const end = 2 ** Math.max(bits, 1);
   if (!cells.every((cell) => cell >= 0 && cell < end)) {
     throw new DecodeError(`tile: a position is outside its grid of ${bits} bits`);
   }
-  return { ids, grid, cells, means: meansOf(cells, grid, dequantiser), layers };
+  let found: Int32Array | undefined;
+  const near = (): Int32Array => (found ??= nearest(dequantiser.kernels, cells));
+  const layers = baseLayers(payload.subarray(first + head.dracoBytes), head.splats, books, near, dequantiser.kernels);
+  return { ids, grid, cells, means: cells.length ? meansOf(cells, grid, dequantiser) : cells, layers, near };
 }
 
 /** One enhancement layer: `count` codes of `bits` bits. Raises {@link DecodeError}. */
@@ -63,14 +69,29 @@ export function decodeLayer(payload: Uint8Array, count: number, bits: number): P
   return { data: unsqueeze(payload, packedBytes(count, bits), "layer"), bits };
 }
 
-function baseLayers(data: Uint8Array, count: number, books: ReadonlyMap<string, Codebook>): Map<string, PackedCodes> {
-  const sizes = [...books.values()].map((book) => packedBytes(count, book.layerBits[0]!));
-  const packed = unsqueeze(data, sizes.reduce((a, b) => a + b, 0), "tile: base codes");
-  let at = 0;
-  return new Map([...books.values()].map((book, i) => {
-    const part = packed.subarray(at, (at += sizes[i]!));
-    return [book.attribute, { data: part, bits: book.layerBits[0]! }];
-  }));
+function baseLayers(
+  data: Uint8Array, count: number, books: ReadonlyMap<string, Codebook>, near: () => Int32Array, kernels: Kernels,
+): Map<string, PackedCodes> {
+  const modelled = [...books.values()].filter((book) => book.models[0]);
+  let at = 4 * modelled.length;
+  const lengths = new DataView(data.buffer, data.byteOffset, data.length);
+  const sizes = data.length < at ? [data.length] : modelled.map((_, i) => lengths.getUint32(4 * i, true));
+  if (at + sizes.reduce((a, b) => a + b, 0) > data.length) {
+    throw new DecodeError(`tile: base codes are cut short after ${data.length} bytes`);
+  }
+  const layers = new Map<string, PackedCodes>();
+  modelled.forEach((book, i) => {
+    const part = data.subarray(at, (at += sizes[i]!));
+    layers.set(book.attribute, decodeCodes(kernels, part, book.models[0]!, undefined, near()).packed);
+  });
+  const plain = [...books.values()].filter((book) => !book.models[0]);
+  const widths = plain.map((book) => packedBytes(count, book.layerBits[0]!));
+  const packed = unsqueeze(data.subarray(at), widths.reduce((a, b) => a + b, 0), "tile: base codes");
+  plain.reduce((begin, book, i) => {
+    layers.set(book.attribute, { data: packed.subarray(begin, begin + widths[i]!), bits: book.layerBits[0]! });
+    return begin + widths[i]!;
+  }, 0);
+  return new Map([...books.keys()].map((name) => [name, layers.get(name)!]));
 }
 
 function readHeader(payload: Uint8Array, attributes: number): Header {

@@ -38,3 +38,24 @@ CAGS_API int32_t cags_codec_dequantise(const CagsCodecTile* tile, const CagsCode
 // means [count, 3] = float(origin + cells step), each product and sum rounded as a double; lengths in floats
 CAGS_API int32_t cags_codec_positions(const float* cells, int64_t cells_length, const double* origin, double step, float* means,
                                       int64_t means_length);
+
+enum CagsCodecDamage : int32_t { CAGS_CODEC_END = 16, CAGS_CODEC_LEFT = 18 };
+
+// How one layer of an attribute's codes is coded; see cags_common.tiles.contexts.
+struct CagsCodecSymbols {
+  const uint8_t* prefixes;      // [count] codes without this layer, of prefix_bits bits; null for the lowest layer
+  const int32_t* nearest;       // [count, 2] as cags_codec_nearest gives them
+  const uint16_t* frequencies;  // [contexts, 2^bits], none zero; each row adds up to 4096
+  int32_t bits, prefix_bits;    // prefix_bits: zero for the lowest layer
+  int64_t lengths[3];           // elements of the three arrays
+};
+
+// nearest [count, 2]: of each splat in the order of its tile the two nearest ones whose codes come before; -1: none
+CAGS_API int32_t cags_codec_nearest(const float* cells, int64_t cells_length, int32_t* nearest, int64_t nearest_length);
+// codes [count], and the same packed, low bits first; CAGS_CODEC_END, CAGS_CODEC_LEFT: damaged data
+CAGS_API int32_t cags_codec_decode(const CagsCodecSymbols* model, const uint8_t* data, int64_t bytes, int64_t lanes,
+                                   uint8_t* codes, int64_t codes_length, uint8_t* packed, int64_t packed_length);
+// Final states [lanes] and the first word_count of words [count]
+CAGS_API int32_t cags_codec_encode(const CagsCodecSymbols* model, const uint8_t* codes, int64_t codes_length, int64_t lanes,
+                                   uint32_t* states, int64_t states_length, uint16_t* words, int64_t words_length,
+                                   int64_t* word_count);

@@ -1,6 +1,7 @@
 import gzip
 import tracemalloc
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 
 from cags_common.coding.packing import gzip_bytes
 from cags_common.errors import DecodeError
+from cags_common.tiles.contexts import ContextModel
 from cags_common.tiles.svq import Codebook, CodebookSet
 from support.codec_scenes import books, on_a_grid
 
@@ -159,3 +161,46 @@ def test_a_truncated_codebook_reads_shorter_codes_as_the_whole_one_does(
         np.testing.assert_array_equal(cut.lookup(shorter, held), whole.lookup(shorter, held))
     again = CodebookSet.from_bytes(CodebookSet({"scale": cut}).to_bytes())["scale"]
     np.testing.assert_array_equal(again.lookup(codes, layers), whole.lookup(codes, layers))
+
+
+def modelled(layer_bits: tuple[int, ...], layers: tuple[int, ...], seed: int = 0) -> Codebook:
+    """Zeros, with models of these layers."""
+    random, models = np.random.default_rng(seed), list[ContextModel | None]()
+    for layer in range(max(layers) + 1):
+        bits, below = layer_bits[layer], sum(layer_bits[:layer])
+        weights = random.integers(0, 256, ContextModel.shape_of(bits, below)).astype(np.uint8)
+        models.append(ContextModel(bits, below, weights) if layer in layers else None)
+    tables = tuple(np.zeros((1 << int(size), 3), np.float32) for size in np.cumsum(layer_bits))
+    return Codebook("scale", layer_bits, tables, models=tuple(models))
+
+
+@pytest.mark.parametrize("layers", [(0,), (1,), (0, 2), (0, 1, 2)])
+def test_models_travel_with_the_codebooks(layers: tuple[int, ...]) -> None:
+    book = modelled((4, 2, 2, 2), layers)
+    back = CodebookSet.from_bytes(CodebookSet({"scale": book}).to_bytes())["scale"]
+    for layer in range(4):
+        made, read = book.model(layer), back.model(layer)
+        assert (made is None) == (read is None)
+        assert made is None or read is None or np.array_equal(made.frequencies, read.frequencies)
+    assert book.truncated(1).begins(back)
+    assert (book.truncated(1).model(0) is None) == (0 not in layers)
+    assert not modelled((4, 2, 2, 2), layers, 1).truncated(max(layers) + 1).begins(back)
+
+
+def test_models_of_long_codes_are_refused() -> None:
+    short = modelled((4, 2, 2, 2), (2,))
+    with pytest.raises(DecodeError, match="layer 0 cannot have such a model"):
+        Codebook("scale", (4,), (np.zeros((16, 3), np.float32),), models=(short.model(2),))
+    with pytest.raises(DecodeError, match="models of 2 layers"):
+        Codebook("scale", (4,), (np.zeros((16, 3), np.float32),), models=(None, None))
+    data = CodebookSet({"scale": modelled((4, 2, 2, 2), (0,))}).to_bytes()
+    for bit in (3, 7):
+        with pytest.raises(DecodeError, match=f"layer {bit} cannot have such a model"):
+            CodebookSet.from_bytes(serialised(data, partial(_only, layer=bit)))
+
+
+def _only(body: bytes, layer: int) -> bytes:
+    """The body of one book whose model is said to be of ``layer``."""
+    at = len(body) - 32 * 16 - 1
+    assert body[at] == 1
+    return body[:at] + bytes([1 << layer]) + body[at + 1 :]

@@ -86,8 +86,8 @@ def test_over_an_idle_link_each_frame_ends_earlier_than_the_one_before() -> None
 
 
 def test_over_a_path_of_long_delay_it_reaches_what_can_still_arrive(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a round trip of a second 89 of 90 frames were late over an idle link: no first level of a frame could come in
-    time, and for want of them the frames after it were not looked at.
+    """With a round trip of a second 89 of 90 frames were late over an idle link: no first level of a frame could come
+    in time, and for want of them the frames after it were not looked at.
     """
     monkeypatch.setattr(tile_planner, "supply", lambda *_: Supply.DETAIL_MISSING)
     rig = Rig(replace(RESERVED, reserve_s=1.0), frames=60, gof=60)
