@@ -139,7 +139,11 @@ struct Workspace {
 };
 
 Workspace& workspace() {
+#ifdef __wasm__
+  static Workspace& own = *new Workspace;  // the browser's module has one thread and no end
+#else
   thread_local Workspace own;
+#endif
   return own;
 }
 
