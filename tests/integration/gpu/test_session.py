@@ -135,7 +135,8 @@ def test_a_server_codes_what_the_cpu_draws_to_a_code(bundle: Path, references: s
         codes, others = (planes_of_ycbcr(ycbcr_of_rgb(each), Chroma.FULL).astype(int) for each in (drawn, same))
         assert np.abs(codes - others).max() <= 1
         others_share.append(float((codes != others).mean()))
-    assert np.mean(others_share) <= 0.02, "how many lie at an edge of a code is up to each picture"
+    assert np.mean(others_share) <= 0.02
+    assert max(others_share) <= 0.03, "how many values lie at an edge of a code is up to each picture"
 
 
 @pytest.mark.parametrize("references", ["difference", "picture"])
@@ -148,6 +149,7 @@ def test_a_session_on_the_gpu_has_the_cpus_scores(bundle: Path, references: str)
     ours_db = [frame["psnr_restored_db"] for frame in ours.frames]
     right_db = [in_bytes_db(frame["psnr_restored_db"]) for frame in right.frames]
     assert abs(np.mean(ours_db) - np.mean(right_db)) < 0.1
+    assert max(abs(one - other) for one, other in zip(ours_db, right_db, strict=True)) < 0.2
 
 
 def in_bytes_db(psnr_db: float) -> float:

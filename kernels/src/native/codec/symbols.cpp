@@ -14,7 +14,7 @@ namespace cags::codec {
 namespace {
 
 constexpr int kProbabilityBits = 12, kTotal = 1 << kProbabilityBits;
-constexpr int kMaxLanes = 32, kMostBits = 4, kMostPrefixBits = 8;
+constexpr int kMaxLanes = 32, kMostBits = 4, kMostPrefixBits = 6;
 constexpr uint32_t kLow = 1u << 16;
 constexpr int64_t kMostSplats = std::numeric_limits<int32_t>::max() / 8;
 
