@@ -97,8 +97,8 @@ class Situation:
     """The reference is a picture of the scene."""
     same_place: bool
     """The reference's camera has the client's position, with any orientation."""
-    same_frame: bool
-    """The reference belongs to the displayed frame."""
+    certain: bool
+    """The reference belongs to the displayed frame and holds at the client's view: it has its full weight."""
     corrects: bool
     """The client adds what it lacks."""
     stale: bool
@@ -145,7 +145,7 @@ def _correcting(s: Situation, *, always: bool) -> set[Pass]:
         on.add(Pass.REFERENCE_RENDER)
     if s.stale:
         on.add(Pass.VETO)
-    if always or not s.same_frame:
+    if always or not s.certain:
         on.add(Pass.FADE)
     return on
 
@@ -155,7 +155,7 @@ def _restoring(s: Situation, *, always: bool) -> set[Pass]:
     on = {Pass.RESTORATION, *(s.restorer - {Pass.EROSION})}
     if always or not s.same_place:
         on |= {Pass.OCCLUSION, *(s.restorer & {Pass.EROSION})}
-    if always or not s.same_frame:
+    if always or not s.certain:
         on.add(Pass.FADE)
     return on
 

@@ -211,7 +211,7 @@ export interface Reference {
   readonly basis: number;
   /** Of a difference's compander. */
   readonly knee: number;
-  /** Mean squared error that coding has left in a picture, RGB from 0 to 1. */
+  /** Mean square, RGB from 0 to 1: of a picture the error that coding has left, of a difference what is lacking; 0: not known. */
   readonly error: number;
   /** One H.264 access unit, Annex B, without description; empty where kind is `nothing`. */
   readonly data: Uint8Array<ArrayBuffer>;

@@ -26,6 +26,7 @@ from cags_common.bundle.codecs import SvqTileCodec, tile_codec
 from cags_common.bundle.manifest import Manifest
 from cags_common.coding.packing import decode_ids
 from cags_common.correction import Correction, FramePictures
+from cags_common.correction.reach import apart, smallness, valid_share
 from cags_common.errors import ConfigError, DecodeError
 from cags_common.geometry import Camera, Pose
 from cags_common.passes import Pass, PassPlan, Situation, held_sh_degree, plan_frame
@@ -240,16 +241,18 @@ class ClientPipeline:
                 self._changes.used(reference.basis)
             if self._restorer_wanted == CORRECT and self.info.motion is not None and not share:
                 self._changes.shown(frame, store.splats.means)
-        plan = plan_frame(self._situation(store, committed, (frame + share, camera), reference), self.settings.effects)
+        weight = 0.0 if reference is None else self._weight(reference, frame, camera)
+        situation = self._situation(store, committed, (frame + share, camera), reference, weight)
+        plan = plan_frame(situation, self.settings.effects)
         canvas = Canvas(scene, self._scene_changes, camera, half, self._options(plan))
         pictures: FramePictures
         aligned, used = None, reference if reference is not None and reference.coded is not None else None
         lod_mean = store.shown.lod_mean(camera)
         if used is not None and Pass.RESTORATION in plan:
-            freshness, expected_db = self._freshness(used, frame), expected_psnr_db(lod_mean, self.info)
-            aligned, pictures = self._restored(plan, canvas, used, watch, freshness=freshness, expected_db=expected_db)
+            expected_db = expected_psnr_db(lod_mean, self.info)
+            aligned, pictures = self._restored(plan, canvas, used, watch, weight=weight, expected_db=expected_db)
         else:
-            given = self._correction(plan, canvas, store, used, frame) if used and Pass.CORRECTION in plan else None
+            given = self._correction(plan, canvas, store, used, weight) if used and Pass.CORRECTION in plan else None
             pictures = self._painter.paint(canvas, given, watch)
         return PresentedFrame(
             frame=frame,
@@ -302,10 +305,15 @@ class ClientPipeline:
         return self._committed_mark or None
 
     def _situation(
-        self, store: GofBuffer, committed: Committed, view: tuple[float, Camera], reference: Received | None
+        self,
+        store: GofBuffer,
+        committed: Committed,
+        view: tuple[float, Camera],
+        reference: Received | None,
+        weight: float,
     ) -> Situation:
         time, camera = view
-        speaks = reference is not None and reference.kind is not ReferenceKind.NOTHING
+        speaks = reference is not None and reference.kind is not ReferenceKind.NOTHING and weight > 0
         name = self._restorer_wanted.partition("@")[0]
         there = reference.camera.pose.position if reference is not None else None
         return Situation(
@@ -315,7 +323,7 @@ class ClientPipeline:
             reference=speaks and name != NONE,
             picture=reference is not None and reference.kind is ReferenceKind.PICTURE,
             same_place=there == camera.pose.position,
-            same_frame=reference is not None and reference.frame == int(time),
+            certain=reference is not None and reference.frame == int(time) and weight == 1,
             corrects=name == CORRECT,
             stale=reference is not None and self._outdated(reference, time),
             restorer=self._restorer.needs if self._restorer is not None else frozenset(),
@@ -334,14 +342,14 @@ class ClientPipeline:
         return restore.create(self._restorer_wanted, threads=self.settings.threads, weights=self._weights)
 
     def _correction(
-        self, plan: PassPlan, canvas: Canvas, store: GofBuffer, reference: Received, frame: int
+        self, plan: PassPlan, canvas: Canvas, store: GofBuffer, reference: Received, weight: float
     ) -> Correction:
         """What the client lacks in the frame according to ``reference``, and where the reference is not valid."""
         changed = None
         if Pass.VETO in plan:
             since = reference.frame, reference.basis if reference.assumes else None
             changed = self._changes.spheres(since, store.splats, canvas.camera, reference.camera.intrinsics.fx_px)
-        stale = 1.0 - self._freshness(reference, frame) if Pass.FADE in plan else 0.0
+        stale = 1.0 - weight if Pass.FADE in plan else 0.0
         return Correction(reference.reference, canvas.display.intrinsics, changed=changed, stale=stale)
 
     def _restored(
@@ -351,7 +359,7 @@ class ClientPipeline:
         reference: Received,
         watch: Stopwatch,
         *,
-        freshness: float,
+        weight: float,
         expected_db: float,
     ) -> tuple[Aligned | None, StagedPictures]:
         """The aligned picture and the restorer's result."""
@@ -363,7 +371,7 @@ class ClientPipeline:
             occlusion, colours = Pass.OCCLUSION in plan, Pass.EROSION in self._restorer.needs
             aligned = self._aligner.align(picture, view.depth, canvas.camera, occlusion=occlusion, colours=colours)
             if Pass.FADE in plan:
-                aligned = _faded(aligned, freshness)
+                aligned = _faded(aligned, weight)
         with watch("restore"):
             rgb = self._restorer.restore(RestoreInput(view.rgb, aligned, expected_db))
         return aligned, self._painter.finished(canvas, StagedPictures.of(view, rgb, aligned.confidence), watch)
@@ -390,13 +398,17 @@ class ClientPipeline:
             depth=DepthKind.EXPECTED if Pass.DEPTH in plan else DepthKind.NONE,
         )
 
-    def _freshness(self, reference: Received, frame: int) -> float:
-        """Weight of a reference: 1 up to half of the allowed age, then falling to 0, so that none vanishes at once."""
+    def _weight(self, reference: Received, frame: int, camera: Camera) -> float:
+        """Of a reference: 1 up to half of the allowed age, then falling to 0, so that none vanishes at once; less the
+        farther away its camera is.
+        """
         allowed = self.settings.reference_age + 1
-        return min(1.0, 2.0 * (1.0 - (frame - reference.frame) / allowed))
+        fresh = min(1.0, 2.0 * (1.0 - (frame - reference.frame) / allowed))
+        away = apart(camera.pose, reference.camera.pose, self.info.focus_centre, self.info.focus_radius)
+        return fresh * valid_share(away, smallness(reference.error) if reference.assumes else 0.0)
 
 
-def _faded(aligned: Aligned, freshness: float) -> Aligned:
-    if freshness >= 1.0:
+def _faded(aligned: Aligned, weight: float) -> Aligned:
+    if weight >= 1.0:
         return aligned
-    return replace(aligned, paint=lambda: aligned.rgb, confidence=aligned.confidence * np.float32(freshness))
+    return replace(aligned, paint=lambda: aligned.rgb, confidence=aligned.confidence * np.float32(weight))

@@ -37,7 +37,9 @@ class Received:
     coded: F32 | None = None  # [h, w, 3] in [0, 1]; None for an empty reference
     knee: float = 0.1
     error: float = 0.0
-    """Mean squared coding error of a picture, RGB in [0, 1]."""
+    """Mean square, RGB in [0, 1]: of a picture its coding error, of a difference what is lacking where anything is; 0:
+    not known.
+    """
     seq: int = 0
 
     @property

@@ -112,6 +112,13 @@ class Coded:
     """Mean squared error of the client's render from the reference camera, [0, 1] RGB."""
     after: float | None = 0.0
     """Mean squared error of coding, RGB in [0, 1]; None if it was not measured."""
+    lacking: float = 0.0
+    """As ``before``, over those parts of the render that differ at all."""
+
+    @property
+    def error(self) -> float:
+        """What the client is told: of a picture what coding has left, of a difference what is lacking."""
+        return min({PICTURE: self.after or 0.0, DIFFERENCE: self.lacking}.get(self.kind, 0.0), 1.0)
 
 
 class _Video:
@@ -236,9 +243,10 @@ class ReferenceCoder:
             self._recode(self._crf)
         if self.lateness.often and self.kinds[0] is DIFFERENCE and PICTURE in self.kinds:
             self._change_kind()
-        before, self._share = _power(views.lack), None
+        before, differing, self._share = _power(views.lack), 1.0, None
         if self.compares:
-            if before <= INVISIBLE * _differing_share(views.lack):
+            differing = _differing_share(views.lack)
+            if before <= INVISIBLE * differing:
                 return Coded(NOTHING, before=before, after=before)
             if self.kinds[0] is PICTURE and before < self._picture_left:
                 self._change_kind()  # the client's splats alone are better than what a picture would make of them
@@ -251,7 +259,7 @@ class ReferenceCoder:
             excess = len(coded.access_unit) / most
             if self._set_crf(self._crf + CRF_OF_DOUBLE * np.log2(excess)):
                 coded = self._coded(kind, views, idr=True)
-        coded = replace(coded, before=before)
+        coded = replace(coded, before=before, lacking=before / differing)
         self._begin_anew = False
         if not coded.idr:
             self._mean_bytes += (len(coded.access_unit) - self._mean_bytes) / min(self._counted + 1, RATE_WINDOW)

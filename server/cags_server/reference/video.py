@@ -46,8 +46,7 @@ class ReferenceVideo:
             self._idr_seq = self._seq
             self.needs_idr = False
         pose, kind = plan.predicted.pose, coded.kind.value
-        error = coded.after if coded.kind is ReferenceKind.PICTURE and coded.after is not None else 0.0
         message = ReferenceFrame(
-            plan.frame, self._seq, pose, render.intrinsics, coded.idr, kind, plan.basis, coded.knee, error
+            plan.frame, self._seq, pose, render.intrinsics, coded.idr, kind, plan.basis, coded.knee, coded.error
         )
         return ev.Outgoing(message, coded.access_unit, 0, deadline_us)

@@ -20,7 +20,7 @@ BUSY = Situation(
     reference=True,
     picture=True,
     same_place=False,
-    same_frame=False,
+    certain=False,
     corrects=True,
     stale=True,
     restorer=PAINTING,
@@ -36,7 +36,7 @@ situations = st.builds(
     reference=st.booleans(),
     picture=st.booleans(),
     same_place=st.booleans(),
-    same_frame=st.booleans(),
+    certain=st.booleans(),
     corrects=st.booleans(),
     stale=st.booleans(),
     restorer=st.sampled_from([frozenset(), PAINTING]),
@@ -56,7 +56,7 @@ def test_a_busy_moment_needs_everything_of_its_way() -> None:
     ("change", "gone"),
     [
         ({"sh_degree": 0}, {Pass.VIEW_COLOUR}),
-        ({"same_frame": True}, {Pass.FADE}),
+        ({"certain": True}, {Pass.FADE}),
         ({"picture": False}, {Pass.REFERENCE_RENDER}),
         ({"stale": False}, {Pass.VETO}),
         ({"same_place": True}, set()),  # what hides something is looked for within the correction
@@ -74,7 +74,7 @@ def test_each_condition_takes_its_own_effects_of_a_correction_away(change: dict[
     ("change", "gone"),
     [
         ({"same_place": True}, {Pass.OCCLUSION, Pass.EROSION}),
-        ({"same_frame": True}, {Pass.FADE}),
+        ({"certain": True}, {Pass.FADE}),
         ({"stale": False}, set()),
         ({"restorer": frozenset({Pass.ALIGNMENT})}, {Pass.EROSION}),
         ({"depth_shown": False}, set()),  # alignment needs it

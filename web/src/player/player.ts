@@ -8,6 +8,7 @@
 
 import { atHalfResolution, CLASSIC, type Exactness, type Footprint } from "../gpu/layout.ts";
 import type { CodedReference, FrameOptions, FrameTimes, Renderer } from "../gpu/renderer.ts";
+import { apart, smallness, validShare } from "../playback/reach.ts";
 import { References } from "../playback/references.ts";
 import { type Camera, type FrameUpdate, type Intrinsics, nowUs, type PlayState, type Pose, type PoseSample, type Reference, type SceneInfo, type SceneSource, type SourceError, type SourceEvent, type Status } from "../seam.ts";
 import { ReferenceVideo } from "../video/stream.ts";
@@ -447,7 +448,7 @@ export class Player {
     const eyes = view.eyes ?? [view];
     for (const [i, eye] of eyes.entries()) {
       const camera = this.#cameraOf(eye);
-      const options = this.#frameOptions({ frame, share, update, camera, display: view.intrinsics }, found?.picture ? found : undefined);
+      const options = this.#frameOptions({ frame, update, camera, display: view.intrinsics }, found?.picture ? found : undefined);
       const times = await this.#renderer.draw(camera, options, view.eyes !== undefined);
       if (this.#ended) return;
       if (view.eyes) this.#events.drew?.(i, eyes.length, camera, this.#renderer.taken());
@@ -464,14 +465,22 @@ export class Player {
     this.#events.changed();
   }
 
-  #frameOptions(of: { frame: number; share: number; update: FrameUpdate; camera: Camera; display: Intrinsics }, found: { reference: Reference; picture: CodedReference | null } | undefined): FrameOptions {
-    const { frame, share, update, camera, display } = of;
+  #frameOptions(of: { frame: number; update: FrameUpdate; camera: Camera; display: Intrinsics }, found: { reference: Reference; picture: CodedReference | null } | undefined): FrameOptions {
+    const { frame, update, camera, display } = of;
     const plain = { exactness: this.exactness, footprint: footprintAt(this.scale), maxShDegree: update.shDegree, display };
     if (!found?.picture) return plain;
     const { changed } = update;
-    const away = frame - found.reference.frame;
-    const stale = away || share ? Math.max(0, 1 - 2 * (1 - away / (REFERENCE_AGE + 1))) : 0;
-    return { ...plain, reference: found.picture, stale, ...(changed ? { changed: cellBoxes(changed.positions, changed.radii, camera) } : {}) };
+    const weight = this.#weight(found.reference, frame, camera);
+    if (!weight) return plain;
+    return { ...plain, reference: found.picture, stale: 1 - weight, ...(changed ? { changed: cellBoxes(changed.positions, changed.radii, camera) } : {}) };
+  }
+
+  /** Of a reference: 1 up to half of the allowed age, then falling to 0; less the farther away its camera is. */
+  #weight(reference: Reference, frame: number, camera: Camera): number {
+    const { focusCentre, focusRadius } = this.info!;
+    const fresh = Math.min(1, 2 * (1 - (frame - reference.frame) / (REFERENCE_AGE + 1)));
+    const away = apart(camera.pose, reference.camera.pose, focusCentre, focusRadius);
+    return fresh * validShare(away, reference.kind === "difference" ? smallness(reference.error) : 0);
   }
 
   /** The camera of the next picture, at the pixels that its time allows. */

@@ -14,8 +14,9 @@ from cags_client.playback.jobs import Decode
 from cags_client.settings import ClientSettings
 from cags_common.bundle import BundleReader
 from cags_common.coding.packing import crc32
+from cags_common.correction.reach import valid_share
 from cags_common.errors import ConfigError, DecodeError
-from cags_common.geometry import Camera, Pose
+from cags_common.geometry import Camera, Pose, multiply_quaternions, quaternion_of_rotation_vector
 from cags_common.metrics import psnr
 from cags_common.raster.base import RasterScene, RenderedView, RenderOptions
 from cags_encoder import EncodeSettings, encode
@@ -123,6 +124,24 @@ def test_an_old_reference_fades_and_a_very_old_one_is_not_used(
     assert most[1] == most[0] > 0
     assert most[2] == pytest.approx(most[0] * 2 / 3)
     assert shown.confidence is None
+
+
+@pytest.mark.parametrize(("restorer", "kind"), [("correct", DIFFERENCE), ("correct", PICTURE), ("reference", PICTURE)])
+def test_less_of_a_reference_is_used_from_farther_away(
+    reader: BundleReader, restorer: str, kind: ReferenceKind
+) -> None:
+    pose = walk(reader)
+    stage = Stage(reader, restore=restorer)
+    stage.send(0)
+    stage.refer(0, pose, kind)
+    used = []
+    for angle in (0.0, 0.1, 0.4, 0.8):
+        turn = quaternion_of_rotation_vector((0.0, 0.0, angle))
+        shown = stage.show(0, Pose(pose.position, multiply_quaternions(pose.rotation, turn)))
+        used.append(0.0 if shown.confidence is None else shown.confidence.max())
+    assert used[0] == used[1] > 0
+    assert used[2] == pytest.approx(used[0] * valid_share(0.4, 0.0))
+    assert used[3] == 0
 
 
 def test_a_reference_of_a_frame_to_come_is_not_used(reader: BundleReader) -> None:
