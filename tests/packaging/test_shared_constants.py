@@ -76,6 +76,7 @@ OF_THE_KERNELS = {
         "cags_common.coding.rans",
     ): """kProbabilityBits=PROBABILITY_BITS kTotal=TOTAL kMaxLanes=MAX_LANES
         kMaxTables=MAX_TABLES""",
+    ("motion/symbols.cpp", "cags_common.coding.tables"): "kHalvings=HALVINGS kFinest=FINEST kMaxRice=MAX_RICE",
     ("motion/tree.cpp", "cags_common.motion.chunk"): "kMaxSamples=MAX_SAMPLES",
     ("motion/tree.cpp", "cags_common.motion.knots"): "kFractionBits=FRACTION_BITS kWeightBits=WEIGHT_BITS",
     ("motion/tree.cpp", "cags_common.motion.symbols"): "kEscape=ESCAPE",

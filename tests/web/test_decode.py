@@ -29,7 +29,7 @@ def test_tiles_and_updates_of_the_recorded_bundle_at_every_recorded_level(tmp_pa
 
 def _chunks() -> list[dict[str, Any]]:
     """Payloads of recorded chunks, what they are told by, and the arrays that they decode to at each level."""
-    with np.load(VECTORS / "motion" / "v8.npz") as file:
+    with np.load(VECTORS / "motion" / "v9.npz") as file:
         arrays = {key: file[key] for key in file.files}
     out = []
     for name in sorted({key.split("/")[0] for key in arrays}):

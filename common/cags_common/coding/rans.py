@@ -1,7 +1,8 @@
 """Range asymmetric numeral systems (Duda 2013): entropy coding of small symbols by static tables.
 
 Several lanes, each a coder of its own, share one stream of 16-bit words (Giesen 2014): numpy then works on a row of
-lanes at once, and a kernel keeps its pipeline full. Tables travel with the data; which table a symbol uses may depend
+lanes at once, and a kernel keeps its pipeline full. Tables travel with the data
+(:mod:`.tables`); which table a symbol uses may depend
 on symbols of earlier calls. The definition is here; the native kernel gives the same symbols and the same bytes.
 """
 
@@ -10,89 +11,25 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import cags_kernels
+from cags_common.coding.tables import MAX_SYMBOLS, PROBABILITY_BITS, TOTAL, Table, Tables, read_tables
 from cags_common.errors import DecodeError
 
 U8 = NDArray[np.uint8]
 U16 = NDArray[np.uint16]
-
-PROBABILITY_BITS = 12
-TOTAL = 1 << PROBABILITY_BITS
-"""Frequencies of a table add up to this."""
 
 MAX_LANES = 32
 SYMBOLS_A_LANE = 4096
 """A lane costs four bytes; so many symbols pay for it."""
 
 MAX_TABLES = 64
-MAX_SYMBOLS = 255
-"""A byte says how many a table has; none stands for the table before."""
-
 _LOW = 1 << 16
 _HEAD = struct.Struct("<BBI")  # lanes, tables, words
-
-
-@dataclass(frozen=True, eq=False)
-class Table:
-    """Static probabilities of the symbols 0 to ``len(frequencies) - 1``, up to :data:`MAX_SYMBOLS`."""
-
-    frequencies: NDArray[np.uint32]  # [symbols], adding up to TOTAL
-
-    @staticmethod
-    def of(counts: NDArray[Any]) -> Table:
-        """The table for symbols that occur ``counts`` [256] times: every one that occurs has a chance of at least 1."""
-        used = int(np.flatnonzero(counts)[-1]) + 1 if counts.any() else 1
-        counts = np.asarray(counts[:used], np.int64)
-        if not counts.any():
-            return Table(np.array([TOTAL], np.uint32))
-        shares = np.where(counts > 0, np.maximum(counts * TOTAL // counts.sum(), 1), 0)
-        order = np.argsort(-counts, kind="stable")
-        excess = int(shares.sum()) - TOTAL
-        for at in order if excess > 0 else order[:1]:
-            taken = min(excess, int(shares[at]) - 1) if excess > 0 else excess
-            shares[at] -= taken
-            excess -= taken
-            if excess == 0:
-                break
-        return Table(shares.astype(np.uint32))
-
-    def to_bytes(self) -> bytes:
-        """How many symbols, then each frequency: below 128 in one byte, else in two, the higher bits first."""
-        out = bytearray([len(self.frequencies)])
-        for value in self.frequencies.tolist():
-            out += bytes([value]) if value < 128 else bytes([128 | value >> 8, value & 255])
-        return bytes(out)
-
-
-def _read_tables(data: memoryview, count: int) -> tuple[list[Table], int]:
-    """``count`` tables from the beginning of ``data``, and where they end. Raises :class:`DecodeError`."""
-    tables: list[Table] = []
-    at = 0
-    try:
-        for _ in range(count):
-            symbols, at = data[at], at + 1
-            if not symbols:
-                tables.append(tables[-1])
-                continue
-            values = np.zeros(symbols, np.uint32)
-            for i in range(symbols):
-                first, at = data[at], at + 1
-                if first >= 128:
-                    first, at = (first & 127) << 8 | data[at], at + 1
-                values[i] = first
-            if int(values.sum()) != TOTAL:
-                raise DecodeError(f"symbols: the frequencies of a table add up to {int(values.sum())}, not {TOTAL}")
-            tables.append(Table(values))
-    except IndexError as error:
-        raise DecodeError("symbols: the tables are cut short") from error
-    return tables, at
 
 
 def _shares(tables: Sequence[Table]) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
@@ -120,8 +57,8 @@ def encode(tables: U8, symbols: U8, runs: NDArray[np.int64], *, native: bool | N
         raise ValueError(f"symbols: {len(symbols)} of them have {len(tables)} tables and runs of {int(runs.sum())}")
     if int(symbols.max(initial=0)) >= MAX_SYMBOLS:
         raise ValueError(f"symbols: {int(symbols.max())} is none; the last one is {MAX_SYMBOLS - 1}")
-    shared = _shared_tables(_counted(tables, symbols, native=native)[:count])
-    made = [table for table, length in shared for _ in range(length)]
+    told = Tables.of(_counted(tables, symbols, native=native)[:count])
+    made = told.each
     lanes = min(max(len(symbols) // SYMBOLS_A_LANE, 1), MAX_LANES)
     if native:
         from cags_kernels import motion
@@ -131,34 +68,7 @@ def encode(tables: U8, symbols: U8, runs: NDArray[np.int64], *, native: bool | N
         states, words = _encoded(made, tables, symbols, runs, lanes)
     head = _HEAD.pack(lanes, count, len(words))
     tail = states.astype("<u4").tobytes() + words.astype("<u2", copy=False).tobytes()
-    return head + b"".join(table.to_bytes() + bytes(length - 1) for table, length in shared) + tail
-
-
-def _shared_tables(counts: NDArray[np.int64]) -> list[tuple[Table, int]]:
-    """Tables for symbols that occur ``counts`` [tables, 256] times, and how many in a row each one serves.
-
-    Two in a row are merged as long as that saves more bytes of tables than it costs of symbols.
-    """
-
-    def made(pooled: NDArray[np.int64]) -> tuple[float, Table]:
-        table, used = Table.of(pooled), pooled[pooled > 0]
-        bits = float((used * np.log2(pooled.sum() / used)).sum())
-        return bits / 8 + len(table.to_bytes()), table
-
-    pooled, lengths = list(counts), [1] * len(counts)
-    costs = [made(one) for one in pooled]
-    joint = [made(one + other) for one, other in pairwise(pooled)]
-    while joint:
-        saved = [costs[i][0] + costs[i + 1][0] - joint[i][0] - 1 for i in range(len(joint))]
-        at = max(range(len(saved)), key=lambda i: saved[i])
-        if saved[at] <= 0:
-            break
-        pooled[at], lengths[at], costs[at] = pooled[at] + pooled[at + 1], lengths[at] + lengths[at + 1], joint[at]
-        del pooled[at + 1], lengths[at + 1], costs[at + 1], joint[at]
-        for i in (at - 1, at):
-            if 0 <= i < len(joint):
-                joint[i] = made(pooled[i] + pooled[i + 1])
-    return [(table, length) for (_, table), length in zip(costs, lengths, strict=True)]
+    return head + told.to_bytes() + tail
 
 
 def _counted(tables: U8, symbols: U8, *, native: bool) -> NDArray[np.int64]:
@@ -202,7 +112,7 @@ class Decoder:
         self._lanes, self.tables, count = _HEAD.unpack_from(view)
         if not 1 <= self._lanes <= MAX_LANES or not 1 <= self.tables <= MAX_TABLES:
             raise DecodeError(f"symbols: {self._lanes} lanes and {self.tables} tables are outside the allowed range")
-        tables, at = _read_tables(view[_HEAD.size :], self.tables)
+        tables, at = read_tables(view[_HEAD.size :], self.tables)
         rest = view[_HEAD.size + at :]
         if len(rest) != 4 * self._lanes + 2 * count:
             raise DecodeError(f"symbols: {len(rest)} bytes of states and words, {4 * self._lanes + 2 * count} expected")

@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 
 import cags_kernels
 from cags_common.coding.packing import U32, PackedCodes, pack_bits
-from cags_common.coding.rans import PROBABILITY_BITS, TOTAL, U8
+from cags_common.coding.rans import U8
+from cags_common.coding.tables import PROBABILITY_BITS, TOTAL
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32
 

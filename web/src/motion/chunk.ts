@@ -5,7 +5,7 @@ import { check, type Kernels } from "../decode/kernels.ts";
 import { classTables, CLASSES, KNOT_NUMBERS, knots } from "./knots.ts";
 import { pick } from "./parts.ts";
 
-export const MOTION_VERSION = 8;
+export const MOTION_VERSION = 9;
 /** Levels of a chunk at most. */
 export const LEVELS = 4;
 const REFINEMENT = 4;

@@ -4,31 +4,76 @@
 
 namespace cags::motion {
 
-// Where the table ends; null for one that is damaged.
-const uint8_t* SymbolDecoder::read_table(const uint8_t* data, const uint8_t* end, int table) {
-  if (data == end) return nullptr;
-  const int used = *data++;
+// Bits of the tables, the lowest of each byte first. Beyond the end there are ones, which no number ends in.
+struct TableBits {
+  const uint8_t *data, *end;
+  int64_t at = 0;
+
+  bool next() {
+    const uint8_t* byte = data + (at >> 3);
+    const bool bit = byte >= end || (*byte >> (at & 7) & 1);
+    at++;
+    return bit;
+  }
+  int number(int count) {
+    int out = 0;
+    for (int bit = 0; bit < count; bit++) out |= int{next()} << bit;
+    return out;
+  }
+  // Ones before the next zero; one more than `most` where there are more.
+  int run(int most) {
+    int length = 0;
+    while (length <= most && next()) length++;
+    return length;
+  }
+  const uint8_t* rest() const { return data + (at + 7) / 8; }
+};
+
+namespace {
+constexpr int kHalvings = 12, kFinest = 4, kMaxRice = 3;  // cags_common.coding.tables
+constexpr uint64_t kMantissas[kFinest] = {16384, 19484, 23170, 27554};
+}  // namespace
+
+bool SymbolDecoder::read_table(TableBits& bits, int form, int table) {
+  const int log_steps = form & 3, rice = form >> 2, most = 1 + (kHalvings << log_steps);
+  const int used = bits.number(8);
   if (!used) {  // as the one before
-    if (!table) return nullptr;
+    if (!table) return false;
     std::copy_n(entries[table - 1], kSymbols, entries[table]);
     std::copy_n(symbols[table - 1], kTotal, symbols[table]);
-    return data;
+    return true;
   }
-  uint32_t first = 0;
+  uint64_t worth[kSymbols], sum = 0;
+  int weight = most, occurring = 0, largest = 0;
+  for (int symbol = 0; symbol < used; symbol++) {
+    const int length = bits.run(2 * most);
+    if (length > 2 * most) return false;
+    const int folded = length << rice | bits.number(rice);
+    weight += folded & 1 ? -(folded + 1 >> 1) : folded >> 1;
+    if (weight < 0 || weight > most) return false;
+    const int rank = (weight - 1) << (2 - log_steps);
+    worth[symbol] = weight ? kMantissas[rank % kFinest] << rank / kFinest : 0;
+    occurring += weight > 0;
+    sum += worth[symbol];
+    if (worth[symbol] > worth[largest]) largest = symbol;
+  }
+  if (!sum) return false;
+  uint32_t left = kTotal;
   std::fill_n(entries[table], kSymbols, Entry{0, 0});
   for (int symbol = 0; symbol < used; symbol++) {
-    if (data == end) return nullptr;
-    uint32_t frequency = *data++;
-    if (frequency >= 128) {
-      if (data == end) return nullptr;
-      frequency = (frequency & 127) << 8 | *data++;
-    }
-    if (frequency > kTotal - first) return nullptr;
-    entries[table][symbol] = {static_cast<uint16_t>(frequency), static_cast<uint16_t>(first)};
-    std::memset(symbols[table] + first, symbol, frequency);
-    first += frequency;
+    const uint64_t share = worth[symbol] ? 1 + worth[symbol] * uint64_t(kTotal - occurring) / sum : 0;
+    entries[table][symbol].frequency = static_cast<uint16_t>(share);
+    left -= static_cast<uint32_t>(share);
   }
-  return first == kTotal ? data : nullptr;
+  entries[table][largest].frequency = static_cast<uint16_t>(entries[table][largest].frequency + left);
+  uint32_t first = 0;
+  for (int symbol = 0; symbol < used; symbol++) {
+    Entry& entry = entries[table][symbol];
+    entry.first = static_cast<uint16_t>(first);
+    std::memset(symbols[table] + first, symbol, entry.frequency);
+    first += entry.frequency;
+  }
+  return true;
 }
 
 int32_t SymbolDecoder::open(const uint8_t* data, int64_t bytes) {
@@ -41,11 +86,14 @@ int32_t SymbolDecoder::open(const uint8_t* data, int64_t bytes) {
   count = claimed;
   if (lanes < 1 || lanes > kMaxLanes || tables < 1 || tables > kMaxTables) return CAGS_SYMBOLS_DAMAGED;
   data += kHead;
+  TableBits bits{data, end};
+  const int form = bits.number(8);
+  if ((form & 3) == 3 || form >> 2 > kMaxRice) return CAGS_SYMBOLS_DAMAGED;
   for (int table = 0; table < tables; table++) {
-    data = read_table(data, end, table);
-    if (!data) return CAGS_SYMBOLS_DAMAGED;
+    if (!read_table(bits, form, table)) return CAGS_SYMBOLS_DAMAGED;
   }
-  if (end - data != 4 * int64_t{lanes} + 2 * count) return CAGS_SYMBOLS_DAMAGED;
+  data = bits.rest();
+  if (data > end || end - data != 4 * int64_t{lanes} + 2 * count) return CAGS_SYMBOLS_DAMAGED;
   std::memcpy(states, data, 4 * size_t(lanes));
   words = data + 4 * lanes;
   return CAGS_OK;

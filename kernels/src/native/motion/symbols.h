@@ -13,6 +13,8 @@ inline constexpr int kProbabilityBits = 12, kTotal = 1 << kProbabilityBits;
 inline constexpr int kMaxLanes = 32, kMaxTables = 64, kSymbols = 256;
 inline constexpr uint32_t kLow = 1u << 16;
 
+struct TableBits;
+
 struct SymbolDecoder {
   struct Entry {
     uint16_t frequency, first;
@@ -30,7 +32,7 @@ struct SymbolDecoder {
   bool finished() const;
 
  private:
-  const uint8_t* read_table(const uint8_t* data, const uint8_t* end, int table);
+  bool read_table(TableBits& bits, int form, int table);
   bool take_last(int64_t count, const uint8_t* which, uint8_t* out);
 
   // One step of a lane; the symbol. Whether it wants a word is for the caller to see: the state is below kLow then.

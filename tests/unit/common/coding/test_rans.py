@@ -9,32 +9,6 @@ from cags_common.coding import rans
 from cags_common.errors import DecodeError
 
 
-def counts_of(**symbols: int) -> np.ndarray:
-    counts = np.zeros(256, np.int64)
-    for name, count in symbols.items():
-        counts[int(name[1:])] = count
-    return counts
-
-
-def test_every_symbol_that_occurs_has_a_chance_however_rare() -> None:
-    counts = np.ones(256, np.int64)
-    counts[7] = 10**12
-    frequencies = rans.Table.of(counts).frequencies
-    assert frequencies.min() == 1 and frequencies.sum() == rans.TOTAL
-
-
-@pytest.mark.parametrize(
-    "counts",
-    [counts_of(), counts_of(s0=1), counts_of(s255=1), counts_of(s3=1, s4=10**15), np.full(256, 3), np.arange(256)],
-)
-def test_frequencies_add_up_and_only_what_never_occurs_has_none(counts: np.ndarray) -> None:
-    frequencies = rans.Table.of(counts).frequencies
-    assert frequencies.sum() == rans.TOTAL
-    if counts.any():
-        assert ((frequencies > 0) == (counts[: len(frequencies)] > 0)).all()
-        assert not counts[len(frequencies) :].any()
-
-
 def test_runs_come_back_as_they_went_in() -> None:
     random = np.random.default_rng(1)
     symbols = random.geometric(0.3, 30_000).clip(0, 255).astype(np.uint8)
