@@ -35,6 +35,8 @@ class PlayStats:
     bytes_reference: int = 0
     bytes_other: int = 0
     """Codebooks and weights."""
+    made_us: int = 0
+    """When the session was begun."""
     first_byte_us: int | None = None
     last_byte_us: int = 0
     first_picture_us: int | None = None

@@ -208,7 +208,9 @@ def write_report(report: Path, settings: DemoSettings, clip_frames: int) -> dict
 
     frames, summary = read_lines(report / "frames.jsonl")
     seconds = max((frames[-1]["time_us"] - frames[0]["time_us"]) / 1e6, 0.1) if frames else 0.1
-    plot_stream(frames, capacity_series(open_trace(link_trace(settings)), seconds), report / "timeline.png")
+    begun_us = round(1000 * (summary.get("first_frame_ms") or 0))  # the link's time begins with the connection
+    capacity = capacity_series(open_trace(link_trace(settings)), seconds, begun_us)
+    plot_stream(frames, capacity, report / "timeline.png")
     chosen = telling_frame(frames)
     strip: dict[str, Any] | None = None
     if chosen is not None and write_strip(report / "stages", chosen, report / "strip.png"):

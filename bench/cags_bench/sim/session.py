@@ -349,7 +349,6 @@ class _Simulation:
             out["truth"] = truth_of(self.scenario.bundle)
         out["fps"] = self.reader.manifest.fps
         out["first_picture_ms"] = (self.player.stats.first_picture_us or 0) / 1e3
-        out["first_frame_ms"] = (self.player.stats.started_us or 0) / 1e3
         out |= {f"first_{name}": self._first[name] for name in FIRST_SCORES if name in self._first}
         out["link_effects"] = sorted(self.world.down.link.effects)
         out["capacity_mbps"] = self.trace.mean_bps(0, max(self.world.now_us, 1)) / 1e6

@@ -81,6 +81,7 @@ def summary(records: list[dict[str, Any]], stats: PlayStats) -> dict[str, Any]:
         **steadiness(records, stats.started_us),
         "effects": tally(map(_effects, records)),
         "restorers": dict(Counter(str(record["restorer"]) for record in records)),
+        "first_frame_ms": None if stats.started_us is None else (stats.started_us - stats.made_us) / 1e3,
         "latency_p95_ms": float(np.percentile(latencies, 95)) if latencies else None,
     }
 

@@ -81,7 +81,7 @@ class Player:
         self.stats = PlayStats()
         self._session, self._clock = session, clock
         self._viewpoint = Viewpoint(poses, settings.pose_rate, settings.start_delay_ms * 1000, now_us)
-        self._made_us, self._near = now_us, near
+        self.stats.made_us, self._near = now_us, near
         self._reconnect = Reconnect(round(settings.reconnect_s * 1e6), rng or random.Random(0), others)  # noqa: S311
         self._lost_us = 0
         self._why_away = NetworkError("the connection was lost")
@@ -145,7 +145,7 @@ class Player:
 
     def handle_timer(self, now_us: int) -> None:
         """Send what is due: keep-alive, acknowledgements, poses."""
-        if self.stats.started_us is None and now_us - self._made_us > self.settings.join_timeout * 1e6:
+        if self.stats.started_us is None and now_us - self.stats.made_us > self.settings.join_timeout * 1e6:
             why = f"no first frame within {self.settings.join_timeout:g} s; is the link too slow?"
             self._fail(NetworkError(why), now_us)
         if self._reconnect.expired(now_us):

@@ -19,6 +19,7 @@ from cags_bench.demo.run import check_replaceable
 from cags_bench.demo.settings import DemoSettings
 from cags_bench.tables import print_lines
 from cags_common.errors import CagsError, OutputError
+from cags_shaper.trace import open_trace
 
 
 @pytest.mark.parametrize("name", SUBCOMMANDS)
@@ -152,6 +153,19 @@ def test_the_demo_reports_the_frame_of_its_strip(tmp_path, gains_db, chosen):
         cv2.imwrite(str(tmp_path / "stages" / f"frame_{frame['frame']:04d}_restored.png"), picture)
     assert run.write_report(tmp_path, DemoSettings(), 30)["strip"] == chosen
     assert (tmp_path / "strip.png").exists() == (chosen is not None)
+
+
+def test_the_demo_plots_the_link_from_when_the_first_frame_was_due(tmp_path, monkeypatch):
+    frame = {"frame": 0, "time_us": 9_000_000, "psnr_distorted_db": 30.0, "psnr_restored_db": 30.0}
+    frame |= {"lod_mean": 1.0, "bytes_tiles": 1, "bytes_reference": 1}
+    lines = [frame, {"summary": True, "first_frame_ms": 2500.0}]
+    (tmp_path / "frames.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    (tmp_path / "stages").mkdir()
+    plotted = []
+    monkeypatch.setattr(run, "plot_stream", lambda frames, capacity, path: plotted.append(capacity[1][0]))
+    settings = DemoSettings()
+    run.write_report(tmp_path, settings, 30)
+    assert plotted == [open_trace(run.link_trace(settings)).mean_bps(2_500_000, 2_600_000) / 1e6]
 
 
 def test_a_link_to_a_report_stays_a_link(played, tmp_path):

@@ -55,6 +55,11 @@ def test_a_summary_counts_from_when_the_first_frame_was_due(reader: BundleReader
     assert "gap_p95_ms" not in summary([record], PlayStats(frames=1, started_us=500_000))
 
 
+def test_a_summary_says_how_long_the_first_frame_took_from_the_connection_on() -> None:
+    assert summary([], PlayStats(made_us=70_000_000, started_us=71_250_000))["first_frame_ms"] == 1250
+    assert summary([], PlayStats(made_us=70_000_000))["first_frame_ms"] is None
+
+
 def test_the_bytes_of_a_summary_make_up_its_goodput() -> None:
     """Codebooks, half of what a short play gets, were in the goodput alone."""
     stats = PlayStats(first_byte_us=1_000_000, last_byte_us=3_000_000)
