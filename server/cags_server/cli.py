@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import sys
+import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -99,7 +100,15 @@ def _spelt_out(argv: Sequence[str]) -> list[str]:
     ]
 
 
-class _JsonFormatter(logging.Formatter):
+class _Formatter(logging.Formatter):
+    """Times as RFC 3339 writes them, in UTC: lines of servers in several places can be put in order."""
+
+    converter = staticmethod(time.gmtime)
+    default_time_format = "%Y-%m-%dT%H:%M:%S"
+    default_msec_format = "%s.%03dZ"
+
+
+class _JsonFormatter(_Formatter):
     """One JSON object a line."""
 
     def format(self, record: logging.LogRecord) -> str:
@@ -111,7 +120,7 @@ class _JsonFormatter(logging.Formatter):
 
 def _start_logging(settings: ServeSettings) -> None:
     handler = logging.StreamHandler(sys.stderr)
-    plain = logging.Formatter("%(asctime)s %(levelname)s %(message)s")
+    plain = _Formatter("%(asctime)s %(levelname)s %(message)s")
     handler.setFormatter(_JsonFormatter() if settings.log_format == "json" else plain)
     handler.addFilter(RareFilter())
     logging.basicConfig(level=logging.INFO, handlers=[handler])

@@ -19,6 +19,10 @@ MAX_RECORDS = 8192
 """Frames remembered a client (four and a half minutes at 30 fps)."""
 
 
+RECENT_FRAMES = 60
+"""Number of last frames by which a session's state is judged."""
+
+
 @dataclass(frozen=True, slots=True)
 class Ahead:
     """The frame whose tiles go out beside a reference: they are there before its own reference is made."""
@@ -103,6 +107,8 @@ class StreamStats:
     """Frames whose data came after they were due, or not at all."""
     stalls: int = 0
     """Runs of late frames."""
+    lately: deque[bool] = field(default_factory=lambda: deque(maxlen=RECENT_FRAMES))
+    """Whether the last frames that were due were late."""
     references_late: int = 0
     references: int = 0
     bytes_tiles: int = 0
@@ -118,6 +124,10 @@ class StreamStats:
     """What references took, those that were coded lightly apart; drawings that only look are in neither."""
     bandwidth_bps: float = 0.0
     rtt_us: int = 0
+
+
+RECENT = ("records", "lately")
+"""Fields that are of the last frames."""
 
 
 @dataclass
@@ -181,7 +191,8 @@ def write_session(folder: Path, run: str, name: str, stats: StreamStats, ending:
         print(json.dumps(head), file=file)
         for record in stats.records:
             print(json.dumps(asdict(record)), file=file)
-        end = {name: value for name, value in asdict(replace(stats, records=deque())).items() if name != "records"}
+        rest = asdict(replace(stats, records=deque(), lately=deque()))
+        end = {name: value for name, value in rest.items() if name not in RECENT}
         end["ending"] = None if ending is None else {"code": ending.code, "reason": ending.reason}
         print(json.dumps(end), file=file)
     return path

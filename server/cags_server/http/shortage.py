@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from itertools import islice
 
-from cags_server.records import FrameRecord, StreamStats
-
-RECENT_FRAMES = 60
-"""Number of last frames that are judged."""
+from cags_server.records import RECENT_FRAMES, FrameRecord, StreamStats
 
 MANY_SKIPPED, MANY_LATE, FULL_BUDGET = 0.25, 0.25, 0.8
 """Limits beyond which processor, renderer and link are short: share of skipped frames, share of frames whose reference
-was late or left out, and share of the byte budget that is spent.
+was late or left out, and share of the byte budget that is spent; or a share of frames that come late although none of
+these is short, over long delays.
 """
 
 NOTHING, PROCESSOR, RENDERER, LINK = "nothing", "processor", "renderer", "link"
@@ -32,6 +30,8 @@ class Shortage:
     """One of :data:`RESOURCES`, or :data:`NOTHING`."""
     share: float = 0.0
     """Share of frames or bytes, as in the sentence; in [0, 1]."""
+    late: bool = False
+    """Of a link: it takes too long, whatever it carries."""
 
     def __str__(self) -> str:
         """A sentence."""
@@ -40,7 +40,7 @@ class Shortage:
             NOTHING: "nothing",
             PROCESSOR: f"processor: the server skips {share} of the frames, being late",
             RENDERER: f"renderer: {share} of the references are late or left out",
-            LINK: f"link: tiles take {share} of its bytes",
+            LINK: f"link: {share} of the frames come late" if self.late else f"link: tiles take {share} of its bytes",
         }[self.of]
 
 
@@ -51,7 +51,7 @@ def shortage(stats: StreamStats) -> Shortage:
     recent = list(islice(reversed(stats.records), RECENT_FRAMES))
     if not recent:
         return Shortage(NOTHING)
-    for found in (_skipped(recent), _unreferenced(recent), _spent(recent)):
+    for found in (_skipped(recent), _unreferenced(recent), _spent(recent), _late(stats.lately)):
         if found is not None:
             return found
     return Shortage(NOTHING)
@@ -74,6 +74,11 @@ def _spent(recent: list[FrameRecord]) -> Shortage | None:
     if not spent or spent < FULL_BUDGET * budget:
         return None
     return Shortage(LINK, min(spent / max(budget, 1), 1.0))
+
+
+def _late(lately: Collection[bool]) -> Shortage | None:
+    share = sum(lately) / max(len(lately), 1)
+    return Shortage(LINK, share, late=True) if share > MANY_LATE else None
 
 
 class ShortageLog:

@@ -11,8 +11,8 @@ from itertools import islice
 from typing import Any
 
 from cags_protocol.events import Closed
-from cags_server.http.shortage import RECENT_FRAMES, shortage
-from cags_server.records import StreamStats
+from cags_server.http.shortage import shortage
+from cags_server.records import RECENT_FRAMES, StreamStats
 
 KEPT_ENDED = 50
 """Ended sessions that the page remembers."""

@@ -75,6 +75,7 @@ class FrameArrivals:
         late = arrived_us is None or arrived_us > self._clock.to_server(display_us)
         self._stats.frames_late += late
         self._stats.frames_in_time += not late
+        self._stats.lately.append(late)
         self._stats.stalls += late and not self._stalled
         self._stalled = late
 

@@ -333,9 +333,11 @@ def test_the_log_is_json_where_that_is_asked_for(monkeypatch: pytest.MonkeyPatch
     for log_format in ("json", "text"):
         cli._start_logging(ServeSettings(bundle="x", log_format=log_format))
     record = logging.LogRecord("x", logging.ERROR, "x.py", 1, "%s: frame %d failed", ("s1", 7), None)
+    record.created, record.msecs = 1_790_000_000.25, 250.0
     as_json, as_text = (handler.format(record) for handler in started)
     assert json.loads(as_json).items() >= {"level": "ERROR", "message": "s1: frame 7 failed"}.items()
-    assert as_text.endswith("ERROR s1: frame 7 failed")
+    assert as_text == "2026-09-21T14:13:20.250Z ERROR s1: frame 7 failed"
+    assert json.loads(as_json)["time"] == "2026-09-21T14:13:20.250Z"
     try:
         raise ValueError("why")
     except ValueError as error:

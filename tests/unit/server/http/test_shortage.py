@@ -31,6 +31,12 @@ def played(*, frames: int = 10, every: int = 1, common: dict[str, int] = RICH, *
     return stats
 
 
+def far_away(*late: bool, **changes: object) -> StreamStats:
+    stats = played(**changes)  # type: ignore[arg-type]
+    stats.lately.extend(late)
+    return stats
+
+
 @pytest.mark.parametrize(
     ("stats", "sentence"),
     [
@@ -42,6 +48,9 @@ def played(*, frames: int = 10, every: int = 1, common: dict[str, int] = RICH, *
         (played(no_place=True, every=5), "nothing"),
         (played(ticks_covered=2), "nothing"),  # a client that displays every other frame
         (played(skipped=2, every=2), "processor: the server skips 50 % of the frames, being late"),
+        (far_away(True, False), "link: 50 % of the frames come late"),  # over a second each way, with an idle link
+        (far_away(True, False, False, False), "nothing"),
+        (far_away(True, common=FULL), "link: tiles take 95 % of its bytes"),
         (
             played(common=FULL, reference_late=True, skipped=1),
             "processor: the server skips 50 % of the frames, being late",
