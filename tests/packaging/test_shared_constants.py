@@ -33,7 +33,7 @@ OF_THE_PAGE = {
     ("player/camera", "cags_common.bundle.first_view"): "MARGIN BULK LEAST_RADIUS LEAST_SHARE",
     ("playback/references", "cags_client.store.references"): "KEPT LATEST",
     ("playback/references", "cags_client.frame.pipeline"): "PATIENCE_FRAMES",
-    ("playback/reach", "cags_common.correction.reach"): "SMALL SMALL_FADES LARGE_HOLDS LARGE_FADES",
+    ("playback/reach", "cags_common.correction.reach"): "FADES",
     ("source/reconnect", "cags_client.net.reconnect"): "FIRST_DELAY_US MAX_DELAY_US GROWTH JITTER",
     ("source/live", "cags_client.playback.player"): "KEYFRAME_RETRY_US",
     ("source/decodeQueue", "cags_client.playback.decode_queue"): "MAX_UNDECODED_BYTES",

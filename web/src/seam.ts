@@ -211,8 +211,10 @@ export interface Reference {
   readonly basis: number;
   /** Of a difference's compander. */
   readonly knee: number;
-  /** Mean square, RGB from 0 to 1: of a picture the error that coding has left, of a difference what is lacking; 0: not known. */
+  /** Mean squared error that coding has left in a picture, RGB from 0 to 1. */
   readonly error: number;
+  /** How far from its camera it holds, radians. */
+  readonly reach: number;
   /** One H.264 access unit, Annex B, without description; empty where kind is `nothing`. */
   readonly data: Uint8Array<ArrayBuffer>;
 }

@@ -26,7 +26,7 @@ from cags_common.bundle.codecs import SvqTileCodec, tile_codec
 from cags_common.bundle.manifest import Manifest
 from cags_common.coding.packing import decode_ids
 from cags_common.correction import Correction, FramePictures
-from cags_common.correction.reach import apart, smallness, valid_share
+from cags_common.correction.reach import apart, valid_share
 from cags_common.errors import ConfigError, DecodeError
 from cags_common.geometry import Camera, Pose
 from cags_common.passes import Pass, PassPlan, Situation, held_sh_degree, plan_frame
@@ -405,7 +405,7 @@ class ClientPipeline:
         allowed = self.settings.reference_age + 1
         fresh = min(1.0, 2.0 * (1.0 - (frame - reference.frame) / allowed))
         away = apart(camera.pose, reference.camera.pose, self.info.focus_centre, self.info.focus_radius)
-        return fresh * valid_share(away, smallness(reference.error) if reference.assumes else 0.0)
+        return fresh * valid_share(away, reference.reach)
 
 
 def _faded(aligned: Aligned, weight: float) -> Aligned:

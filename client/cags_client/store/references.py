@@ -8,6 +8,7 @@ from functools import cached_property
 
 from cags_client.store.picture import ReferencePicture
 from cags_common.correction import Reference
+from cags_common.correction.reach import HOLDS
 from cags_common.errors import DecodeError
 from cags_common.geometry import DEFAULT_NEAR, F32, Camera
 from cags_common.video.h264 import H264Decoder
@@ -37,10 +38,10 @@ class Received:
     coded: F32 | None = None  # [h, w, 3] in [0, 1]; None for an empty reference
     knee: float = 0.1
     error: float = 0.0
-    """Mean square, RGB in [0, 1]: of a picture its coding error, of a difference what is lacking where anything is; 0:
-    not known.
-    """
+    """Mean squared coding error of a picture, RGB in [0, 1]."""
     seq: int = 0
+    reach: float = HOLDS
+    """How far from its camera it holds, radians."""
 
     @property
     def assumes(self) -> bool:
@@ -98,7 +99,16 @@ class References:
             self._order += 1
             self._received.pop(message.frame, None)
             self._received[message.frame] = Received(
-                message.frame, self._order, basis, camera, kind, coded, message.knee, message.error, message.seq
+                message.frame,
+                self._order,
+                basis,
+                camera,
+                kind,
+                coded,
+                message.knee,
+                message.error,
+                message.seq,
+                message.reach,
             )
             self._to_come.add(message.frame)
             while len(self._received) > KEPT:

@@ -268,9 +268,9 @@ class ReferenceFrame(Message):
 
     ``seq`` counts pictures from 1 without gaps; an ``idr`` picture needs none before it. ``basis`` is the
     :class:`Mark` that it assumes, ``knee`` that of a difference's compander
-    (:mod:`cags_common.correction.compander`), ``error`` a mean square of [0, 1] RGB: the error that coding has left in
-    a picture, or what a difference amounts to where it says anything (0: not known). One that says nothing has the
-    ``seq`` of the last picture.
+    (:mod:`cags_common.correction.compander`), ``error`` the mean squared error that coding has left in a picture
+    ([0, 1] RGB), ``reach`` how far from ``pose`` the reference holds, radians (:mod:`cags_common.correction.reach`).
+    One that says nothing has the ``seq`` of the last picture.
     """
 
     TAG = "reference"
@@ -285,6 +285,7 @@ class ReferenceFrame(Message):
     basis: int = wire(_SEQ, 0)
     knee: float = wire(Real(1e-3, 10.0), 0.1)
     error: float = wire(Real(0.0, 1.0), 0.0)
+    reach: float = wire(Real(0.0, 10.0), 0.2)
 
 
 @dataclass(frozen=True, slots=True)

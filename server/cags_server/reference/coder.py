@@ -24,12 +24,14 @@ from numpy.typing import NDArray
 
 from cags_common.correction import ComparedViews, Look, StagedViews
 from cags_common.correction.compander import ZERO, compand_by_table, expand
+from cags_common.correction.reach import HOLDS
 from cags_common.geometry import F32, Camera, Intrinsics
+from cags_common.poses import Focus
 from cags_common.video.colour import Chroma, rgb_of_ycbcr, ycbcr_of_rgb
 from cags_common.video.h264 import H264Decoder, H264Encoder, is_idr
 from cags_protocol.wire.messages import ANY_REFERENCE, HALF_CHROMA, NO_REFERENCES, Hello, ReferenceKind
 from cags_server.reference.detail import by_block, detail_left
-from cags_server.reference.lasting import Blocks, Lasting
+from cags_server.reference.lasting import SOMEWHERE, Blocks, Lasting
 from cags_server.reference.lateness import Lateness
 from cags_server.settings import ServerSettings
 
@@ -112,13 +114,13 @@ class Coded:
     """Mean squared error of the client's render from the reference camera, [0, 1] RGB."""
     after: float | None = 0.0
     """Mean squared error of coding, RGB in [0, 1]; None if it was not measured."""
-    lacking: float = 0.0
-    """As ``before``, over those parts of the render that differ at all."""
+    reach: float = HOLDS
+    """How far from its camera it holds, radians."""
 
     @property
     def error(self) -> float:
-        """What the client is told: of a picture what coding has left, of a difference what is lacking."""
-        return min({PICTURE: self.after or 0.0, DIFFERENCE: self.lacking}.get(self.kind, 0.0), 1.0)
+        """What the client is told: of a picture what coding has left."""
+        return min(self.after or 0.0, 1.0) if self.kind is PICTURE else 0.0
 
 
 class _Video:
@@ -142,8 +144,10 @@ class _Video:
 class ReferenceCoder:
     """The references of one client. Not thread-safe: a client's references are coded one after the other."""
 
-    def __init__(self, settings: ServerSettings, hello: Hello, fps: float) -> None:
-        """``hello`` says what the client can use: its kinds of references, its video decoder, its display's size."""
+    def __init__(self, settings: ServerSettings, hello: Hello, fps: float, focus: Focus = SOMEWHERE) -> None:
+        """``hello`` says what the client can use: its kinds of references, its video decoder, its display's size;
+        ``focus`` where the scene is.
+        """
         self._settings, self._fps = settings, fps
         client: Intrinsics = hello.intrinsics
         width, height = (max(LEAST_SIDE_PX, side // 2 * 2) for side in (client.width_px, client.height_px))
@@ -164,7 +168,7 @@ class ReferenceCoder:
         self._mean_bytes, self._counted = 0.0, 0
         self.lateness = Lateness()
         """Whether references come in time."""
-        self._lasting = Lasting()
+        self._lasting = Lasting(focus)
         self._share: F32 | None = None  # of the current difference that is sent
         self._picture_left = 0.0  # error of the newest picture that was coded
         self._target_bytes = 0.0  # of a picture that needs others; 0: not known
@@ -243,15 +247,15 @@ class ReferenceCoder:
             self._recode(self._crf)
         if self.lateness.often and self.kinds[0] is DIFFERENCE and PICTURE in self.kinds:
             self._change_kind()
-        before, differing, self._share = _power(views.lack), 1.0, None
+        before, self._share, reach = _power(views.lack), None, HOLDS
         if self.compares:
-            differing = _differing_share(views.lack)
-            if before <= INVISIBLE * differing:
+            if before <= INVISIBLE * _differing_share(views.lack):
                 return Coded(NOTHING, before=before, after=before)
             if self.kinds[0] is PICTURE and before < self._picture_left:
                 self._change_kind()  # the client's splats alone are better than what a picture would make of them
             if camera is not None and views.depth is not None:
                 self._share = self._lasting.share(views.lack, camera, views.depth, appeared)
+                reach = self._lasting.reach
         kind = self.kinds[0]
         coded = self._coded(kind, views, idr=idr or self._begin_anew)
         most = MOST_SHARE * self._target_bytes
@@ -259,7 +263,7 @@ class ReferenceCoder:
             excess = len(coded.access_unit) / most
             if self._set_crf(self._crf + CRF_OF_DOUBLE * np.log2(excess)):
                 coded = self._coded(kind, views, idr=True)
-        coded = replace(coded, before=before, lacking=before / differing)
+        coded = replace(coded, before=before, reach=reach if coded.kind is DIFFERENCE else HOLDS)
         self._begin_anew = False
         if not coded.idr:
             self._mean_bytes += (len(coded.access_unit) - self._mean_bytes) / min(self._counted + 1, RATE_WINDOW)

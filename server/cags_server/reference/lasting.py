@@ -19,7 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.correction import Placement
+from cags_common.correction.reach import HOLDS, apart
 from cags_common.geometry import F32, Camera
+from cags_common.poses import Focus
 from cags_common.splats import Splats
 from cags_server.reference.detail import BLOCK_PX, by_block
 
@@ -50,6 +52,16 @@ REACH = 3.0
 Blocks = NDArray[np.bool_]
 """[rows, columns] of blocks of :data:`~cags_server.reference.detail.BLOCK_PX` pixels a side."""
 
+SOMEWHERE = Focus((0.0, 0.0, 0.0), 1.0)
+
+COMPARABLE = 0.15
+"""Largest distance of the cameras of two differences that tell of each other, radians."""
+
+FORESEEN = 8.0
+"""How many times as far as two differences have been compared they are taken to hold: a prediction is wrong by about as
+far as the viewer turns in so many frames.
+"""
+
 FARTHEST, NEAREST = 1e4, 1e-3
 """Depths assigned to holes and to points next to the camera, world units."""
 
@@ -57,7 +69,11 @@ FARTHEST, NEAREST = 1e4, 1e-3
 class Lasting:
     """Compares consecutive differences of one client."""
 
-    def __init__(self) -> None:
+    def __init__(self, focus: Focus = SOMEWHERE) -> None:
+        """``focus``: where the scene is, by which steps aside are measured."""
+        self.reach = HOLDS
+        """How far from its camera the newest difference holds, radians."""
+        self._focus = focus
         self._before: tuple[F32, Camera, float] | None = None  # difference, its camera and its mean square
         self._appeared: Blocks | None = None
 
@@ -71,6 +87,8 @@ class Lasting:
         appeared_before, self._appeared = self._appeared, appeared
         power = cv2.norm(lack, cv2.NORM_L2SQR) / max(3 * int(np.count_nonzero(np.isfinite(depth))), 1)
         before, self._before = self._before, (lack, camera, power)
+        compared = 0.0 if before is None else self._apart(before[1], camera)
+        self.reach = self._reach(compared, float(np.clip(2 - power / SMALL, 0, 1)))
         if before is None:
             return None
         lack_before, camera_before, power_before = before
@@ -89,6 +107,14 @@ class Lasting:
                 share[blocks] = 1
         share = (1 - counts * (1 - share)).astype(np.float32)
         return np.asarray(cv2.resize(share, (lack.shape[1], lack.shape[0]), interpolation=cv2.INTER_LINEAR))
+
+    def _apart(self, before: Camera, camera: Camera) -> float:
+        return apart(before.pose, camera.pose, self._focus.centre, self._focus.radius)
+
+    def _reach(self, compared: float, smallness: float) -> float:
+        """Of a difference that was ``compared`` with one so far away, radians, and is small to this extent."""
+        known = FORESEEN * compared if compared <= COMPARABLE else 0.0
+        return HOLDS - smallness * (HOLDS - min(known, HOLDS))
 
 
 def blocks_of(splats: Splats, camera: Camera) -> Blocks:

@@ -47,6 +47,15 @@ class ReferenceVideo:
             self.needs_idr = False
         pose, kind = plan.predicted.pose, coded.kind.value
         message = ReferenceFrame(
-            plan.frame, self._seq, pose, render.intrinsics, coded.idr, kind, plan.basis, coded.knee, coded.error
+            plan.frame,
+            self._seq,
+            pose,
+            render.intrinsics,
+            coded.idr,
+            kind,
+            plan.basis,
+            coded.knee,
+            coded.error,
+            coded.reach,
         )
         return ev.Outgoing(message, coded.access_unit, 0, deadline_us)

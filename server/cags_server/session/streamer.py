@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from cags_common.geometry import Camera, Pose
+from cags_common.poses import Focus
 from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol import events as ev
 from cags_protocol.timeline import Timeline
@@ -93,7 +94,9 @@ class Streamer:
         self._library, self._settings, self._hello = library, settings, hello
         self._link, self._may_render, self._lightly = link, may_render, lightly
         self._viewer = Viewer(settings, hello)
-        self._coder = ReferenceCoder(settings, hello, library.manifest.fps)
+        manifest = library.manifest
+        focus = Focus(manifest.focus_centre, manifest.focus_radius)
+        self._coder = ReferenceCoder(settings, hello, manifest.fps, focus)
         self._mirror = Mirror(library, settings.render_threads)
         self._tiles = TileSender(library, opening=settings.opening_tiles)
         start = min(hello.start_frame, library.manifest.frames - 1)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cags_common.correction.reach import SMALL, apart, smallness, valid_share
+from cags_common.correction.reach import HOLDS, apart, valid_share
 from cags_common.geometry import Pose, Vec3
 from support.node import run_tests
 
@@ -22,15 +22,15 @@ def case(seed: int) -> dict[str, Any]:
     centre, radius = vec(1.0), float(rng.uniform(0.1, 3))
     here = Pose.looking_at(vec(2.0), centre)
     there = Pose.looking_at(tuple(np.add(here.position, vec(0.3))), tuple(np.add(centre, vec(0.3))))
-    mean_square = float(rng.choice([0.0, rng.uniform(0, 3 * SMALL)]))
+    reach = float(rng.uniform(0, HOLDS))
     distance = apart(here, there, centre, radius)
     return {
         "poses": [{"position": pose.position, "rotation": pose.rotation} for pose in (here, there)],
         "centre": centre,
         "radius": radius,
-        "meanSquare": mean_square,
+        "reach": reach,
         "apart": distance,
-        "share": valid_share(distance, smallness(mean_square)),
+        "share": valid_share(distance, reach),
     }
 
 

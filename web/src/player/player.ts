@@ -8,7 +8,7 @@
 
 import { atHalfResolution, CLASSIC, type Exactness, type Footprint } from "../gpu/layout.ts";
 import type { CodedReference, FrameOptions, FrameTimes, Renderer } from "../gpu/renderer.ts";
-import { apart, smallness, validShare } from "../playback/reach.ts";
+import { apart, validShare } from "../playback/reach.ts";
 import { References } from "../playback/references.ts";
 import { type Camera, type FrameUpdate, type Intrinsics, nowUs, type PlayState, type Pose, type PoseSample, type Reference, type SceneInfo, type SceneSource, type SourceError, type SourceEvent, type Status } from "../seam.ts";
 import { ReferenceVideo } from "../video/stream.ts";
@@ -480,7 +480,7 @@ export class Player {
     const { focusCentre, focusRadius } = this.info!;
     const fresh = Math.min(1, 2 * (1 - (frame - reference.frame) / (REFERENCE_AGE + 1)));
     const away = apart(camera.pose, reference.camera.pose, focusCentre, focusRadius);
-    return fresh * validShare(away, reference.kind === "difference" ? smallness(reference.error) : 0);
+    return fresh * validShare(away, reference.reach);
   }
 
   /** The camera of the next picture, at the pixels that its time allows. */

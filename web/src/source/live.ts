@@ -528,11 +528,11 @@ export class LiveSource implements SceneSource {
       throw new DecodeError(`reference of frame ${message.frame} says nothing in ${payload.length} bytes`);
     }
     this.order += 1;
-    const { frame, seq, idr, kind, knee, error, pose, intrinsics } = message;
+    const { frame, seq, idr, kind, knee, error, reach, pose, intrinsics } = message;
     const camera: Camera = { intrinsics, pose, near: this.scene!.manifest.near };
     const reference: Reference = {
       frame, seq, order: this.order, connection: this.connection, idr, kind, camera,
-      basis: this.markedBefore + message.basis, knee, error, data: payload.slice(),
+      basis: this.markedBefore + message.basis, knee, error, reach, data: payload.slice(),
     };
     this.listen({ type: "reference", reference });
   }

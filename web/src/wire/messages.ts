@@ -121,6 +121,7 @@ export interface ReferenceFrame {
   readonly basis: number;
   readonly knee: number;
   readonly error: number;
+  readonly reach: number;
 }
 
 export interface Mark {
@@ -287,6 +288,7 @@ export const SPECS: { readonly [T in Tag]: Spec } = {
       field("basis", SEQ, 0),
       field("knee", real(1e-3, 10), 0.1),
       field("error", real(0, 1), 0),
+      field("reach", real(0, 10), 0.2),
     ],
   },
   mark: { code: 4, payload: "none", fields: [field("number", SEQ), field("restart", flag, false)] },

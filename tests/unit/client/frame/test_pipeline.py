@@ -14,7 +14,7 @@ from cags_client.playback.jobs import Decode
 from cags_client.settings import ClientSettings
 from cags_common.bundle import BundleReader
 from cags_common.coding.packing import crc32
-from cags_common.correction.reach import valid_share
+from cags_common.correction.reach import HOLDS, valid_share
 from cags_common.errors import ConfigError, DecodeError
 from cags_common.geometry import Camera, Pose, multiply_quaternions, quaternion_of_rotation_vector
 from cags_common.metrics import psnr
@@ -140,7 +140,7 @@ def test_less_of_a_reference_is_used_from_farther_away(
         shown = stage.show(0, Pose(pose.position, multiply_quaternions(pose.rotation, turn)))
         used.append(0.0 if shown.confidence is None else shown.confidence.max())
     assert used[0] == used[1] > 0
-    assert used[2] == pytest.approx(used[0] * valid_share(0.4, 0.0))
+    assert used[2] == pytest.approx(used[0] * valid_share(0.4, HOLDS))
     assert used[3] == 0
 
 

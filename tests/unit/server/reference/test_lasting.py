@@ -8,8 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
+from cags_common.correction.reach import HOLDS
 from cags_common.geometry import F32, Camera, Intrinsics, Pose
-from cags_server.reference.lasting import NEWS, REACH, SMALL, WHOLE, Lasting, blocks_of
+from cags_common.poses import Focus
+from cags_server.reference.lasting import COMPARABLE, FORESEEN, NEWS, REACH, SMALL, WHOLE, Lasting, blocks_of
 from support.splat_files import random_splats
 
 INTRINSICS = Intrinsics.of_fov(160, 120, 1.0, 0.8)
@@ -162,3 +164,20 @@ def test_a_large_splat_out_of_order_is_told_from_splats_that_have_come() -> None
         now = np.float32(np.sqrt(growth * 0.5 * SMALL / 1e-5)) * texture(2)
         assert (shared(before, now) is None) is whole
         assert (shared(now, before) is None) is whole, "what was lacking before splats came says nothing either"
+
+
+def test_a_small_difference_reaches_as_far_as_it_has_been_compared_and_a_large_one_farther() -> None:
+    def reach(before: F32 | None, now: F32, x_m: float) -> float:
+        lasting = Lasting(Focus((0.0, 0.0, 2.0), 1.0))
+        if before is not None:
+            lasting.share(before, camera(), DEPTH)
+        lasting.share(now, camera(x_m), DEPTH)
+        return lasting.reach
+
+    small, large = texture(), texture() * np.float32(5)
+    assert reach(None, small, 0.0) == 0, "compared with none"
+    assert reach(small, small, 0.0) == 0, "from the same place"
+    assert reach(small, small, 0.02) == pytest.approx(0.01 * FORESEEN, rel=1e-3)
+    assert reach(small, small, 0.2) == HOLDS
+    assert reach(small, small, 0.2 + 2 * COMPARABLE) == 0, "what is seen from there tells nothing"
+    assert reach(None, large, 0.0) == reach(large, large, 0.02) == HOLDS
