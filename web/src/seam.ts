@@ -213,7 +213,7 @@ export interface Reference {
   readonly knee: number;
   /** Mean squared error that coding has left in a picture, RGB from 0 to 1. */
   readonly error: number;
-  /** How far from its camera it holds, radians. */
+  /** How far from its camera a difference holds, radians. */
   readonly reach: number;
   /** One H.264 access unit, Annex B, without description; empty where kind is `nothing`. */
   readonly data: Uint8Array<ArrayBuffer>;

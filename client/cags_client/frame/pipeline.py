@@ -399,11 +399,13 @@ class ClientPipeline:
         )
 
     def _weight(self, reference: Received, frame: int, camera: Camera) -> float:
-        """Of a reference: 1 up to half of the allowed age, then falling to 0, so that none vanishes at once; less the
-        farther away its camera is.
+        """Of a reference: 1 up to half of the allowed age, then falling to 0, so that none vanishes at once. A
+        difference has less beyond its reach; a picture is compared with what the client shows, or stands for it.
         """
         allowed = self.settings.reference_age + 1
         fresh = min(1.0, 2.0 * (1.0 - (frame - reference.frame) / allowed))
+        if reference.kind is not ReferenceKind.DIFFERENCE:
+            return fresh
         away = apart(camera.pose, reference.camera.pose, self.info.focus_centre, self.info.focus_radius)
         return fresh * valid_share(away, reference.reach)
 

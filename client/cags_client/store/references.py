@@ -41,7 +41,7 @@ class Received:
     """Mean squared coding error of a picture, RGB in [0, 1]."""
     seq: int = 0
     reach: float = HOLDS
-    """How far from its camera it holds, radians."""
+    """How far from its camera a difference holds, radians."""
 
     @property
     def assumes(self) -> bool:

@@ -1,9 +1,9 @@
-"""How far a reference holds: what it says of one view is used less in another, the farther away that is.
+"""How far a difference holds: what is lacking in one view is added less in another, the farther away that is.
 
 A difference holds where the same splats lack the same colours in both views. From somewhere else other things are
 seen, and depths, by which it is placed, are rough. A *small* difference may be mostly blending order, which turns with
 the camera besides, or an error of the looks, which stays: two differences in a row tell
-(:mod:`cags_server.reference.lasting`). Up to its *reach* all of a reference is used, and less beyond it. Measured for
+(:mod:`cags_server.reference.lasting`). Up to its *reach* all of it is used, and less beyond. Measured for
 pairs of views: ``docs/lab/references.md``.
 """
 
@@ -14,7 +14,7 @@ import math
 from cags_common.geometry import Pose, Vec3, angle_between
 
 HOLDS = 0.2
-"""Reach of pictures and of large differences, radians; that of small ones is not larger."""
+"""Reach of large differences, radians; that of small ones is not larger."""
 
 FADES = 2.5
 """Share that is lost per radian beyond the reach."""
@@ -29,5 +29,5 @@ def apart(a: Pose, b: Pose, centre: Vec3, radius: float) -> float:
 
 
 def valid_share(distance: float, reach: float) -> float:
-    """Share in [0, 1] of a reference to use at ``distance`` (:func:`apart`) from its camera."""
+    """Share in [0, 1] of a difference to use at ``distance`` (:func:`apart`) from its camera."""
     return min(max(1 - FADES * (distance - reach), 0.0), 1.0)

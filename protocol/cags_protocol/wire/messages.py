@@ -269,7 +269,7 @@ class ReferenceFrame(Message):
     ``seq`` counts pictures from 1 without gaps; an ``idr`` picture needs none before it. ``basis`` is the
     :class:`Mark` that it assumes, ``knee`` that of a difference's compander
     (:mod:`cags_common.correction.compander`), ``error`` the mean squared error that coding has left in a picture
-    ([0, 1] RGB), ``reach`` how far from ``pose`` the reference holds, radians (:mod:`cags_common.correction.reach`).
+    ([0, 1] RGB), ``reach`` how far from ``pose`` a difference holds, radians (:mod:`cags_common.correction.reach`).
     One that says nothing has the ``seq`` of the last picture.
     """
 

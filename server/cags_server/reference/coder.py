@@ -115,7 +115,7 @@ class Coded:
     after: float | None = 0.0
     """Mean squared error of coding, RGB in [0, 1]; None if it was not measured."""
     reach: float = HOLDS
-    """How far from its camera it holds, radians."""
+    """How far from its camera a difference holds, radians."""
 
     @property
     def error(self) -> float:

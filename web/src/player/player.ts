@@ -475,10 +475,11 @@ export class Player {
     return { ...plain, reference: found.picture, stale: 1 - weight, ...(changed ? { changed: cellBoxes(changed.positions, changed.radii, camera) } : {}) };
   }
 
-  /** Of a reference: 1 up to half of the allowed age, then falling to 0; less the farther away its camera is. */
+  /** Of a reference: 1 up to half of the allowed age, then falling to 0; of a difference less beyond its reach. */
   #weight(reference: Reference, frame: number, camera: Camera): number {
     const { focusCentre, focusRadius } = this.info!;
     const fresh = Math.min(1, 2 * (1 - (frame - reference.frame) / (REFERENCE_AGE + 1)));
+    if (reference.kind !== "difference") return fresh;
     const away = apart(camera.pose, reference.camera.pose, focusCentre, focusRadius);
     return fresh * validShare(away, reference.reach);
   }
