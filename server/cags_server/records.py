@@ -18,7 +18,6 @@ FORMAT = "cags-session"
 MAX_RECORDS = 8192
 """Frames remembered a client (four and a half minutes at 30 fps)."""
 
-
 RECENT_FRAMES = 60
 """Number of last frames by which a session's state is judged."""
 

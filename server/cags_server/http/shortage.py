@@ -11,8 +11,8 @@ from cags_server.records import RECENT_FRAMES, FrameRecord, StreamStats
 
 MANY_SKIPPED, MANY_LATE, FULL_BUDGET = 0.25, 0.25, 0.8
 """Limits beyond which processor, renderer and link are short: share of skipped frames, share of frames whose reference
-was late or left out, and share of the byte budget that is spent; or a share of frames that come late although none of
-these is short, over long delays.
+was late or left out, and share of the byte budget that is spent. The link is short, too, where such a share of the
+frames comes late for no other reason: over long delays.
 """
 
 NOTHING, PROCESSOR, RENDERER, LINK = "nothing", "processor", "renderer", "link"

@@ -53,6 +53,7 @@ Blocks = NDArray[np.bool_]
 """[rows, columns] of blocks of :data:`~cags_server.reference.detail.BLOCK_PX` pixels a side."""
 
 SOMEWHERE = Focus((0.0, 0.0, 0.0), 1.0)
+"""Focus of a scene of which nothing is known."""
 
 COMPARABLE = 0.15
 """Largest distance of the cameras of two differences that tell of each other, radians."""

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from cags_common.correction.reach import HOLDS
 from cags_common.geometry import Intrinsics, Pose
 from cags_protocol.wire.messages import ReferenceFrame, ReferenceKind
 from cags_server.reference.coder import Coded
@@ -38,6 +39,11 @@ def test_a_client_is_told_what_coding_left_in_a_picture() -> None:
     assert error(ReferenceKind.PICTURE, None) == 0
     assert error(ReferenceKind.DIFFERENCE, 2e-5) == 0
     assert error(ReferenceKind.NOTHING, 0.0) == 0
+
+
+def test_servers_that_say_nothing_of_it_send_large_differences() -> None:
+    bare = ReferenceFrame(0, 1, Pose.identity(), INTRINSICS)
+    assert bare.reach == Coded(ReferenceKind.DIFFERENCE).reach == HOLDS
 
 
 def test_what_says_nothing_is_no_picture() -> None:
