@@ -4,12 +4,30 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cags_common.geometry import F64
+from cags_shaper.trace import Trace
+
 JsonObject = dict[str, Any]
+
+WINDOW_S, MOST_WINDOWS = 0.1, 200
+"""Length of the windows over which rates are averaged, and the largest number of them: in longer plays they are longer.
+"""
+
+PICTURES = {
+    "psnr_distorted_db": ("tab:red", "own splats"),
+    "psnr_aligned_db": ("tab:orange", "aligned"),
+    "psnr_restored_db": ("tab:green", "shown"),
+}
+"""What is plotted of the pictures' quality: its colour and its name."""
+
+CENTRED: Mapping[str, Any] = {"ha": "center", "va": "center", "color": "0.4"}
 
 STAGES_EVERY = 15
 """Interval of frames whose stages are saved."""
@@ -31,58 +49,83 @@ def read_lines(path: Path) -> tuple[list[JsonObject], JsonObject]:
     return [line for line in lines if not line.get("summary")], next(line for line in lines if line.get("summary"))
 
 
-def series(frames: Sequence[JsonObject], key: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+def series(frames: Sequence[JsonObject], key: str) -> F64:
     """One figure over frames [F]; NaN if a frame lacks it."""
     return np.array([np.nan if frame.get(key) is None else float(frame[key]) for frame in frames])
 
 
-def capacity_series(trace: Any, seconds: float, begin_us: int = 0) -> tuple[list[float], list[float]]:
-    """The link's capacity while frames are shown, in steps of 100 ms: (times in s, Mbps).
+@dataclass(frozen=True)
+class StreamTimes:
+    """The windows over which the rates of a play are averaged, in seconds from its first frame.
 
-    ``begin_us`` is the link's time when the first frame is due, at which the times begin.
+    The first window is the time from the connection to that frame, in which most of a short play's bytes arrive.
     """
-    step_us = 100_000
-    starts = range(0, int(seconds * 1e6) + step_us, step_us)
-    rates = [trace.mean_bps(begin_us + start, begin_us + start + step_us) / 1e6 for start in starts]
-    return [start / 1e6 for start in starts], rates
+
+    frames_s: F64
+    """[F] times of the frames."""
+    edges_s: F64
+    """[W + 1] from when to when the windows are."""
+
+    @staticmethod
+    def of(frames: Sequence[JsonObject], waited_s: float) -> StreamTimes:
+        """The windows of ``frames`` [F], the first of which is displayed ``waited_s`` after the connection."""
+        frames_s = series(frames, "time_us") / 1e6
+        frames_s -= frames_s[0]
+        end_s = max(float(frames_s[-1]), WINDOW_S)
+        windows = min(round(end_s / WINDOW_S), MOST_WINDOWS)
+        began = [-waited_s] if waited_s > 0 else []
+        return StreamTimes(frames_s, np.concatenate([began, np.linspace(0.0, end_s, windows + 1)]))
+
+    def rates_mbps(self, frame_bytes: F64) -> F64:
+        """Mean rates [W] of what each frame [F] found to have arrived since the one before; NaN counts nothing."""
+        arrived_s = self.frames_s - np.diff(self.frames_s, prepend=self.edges_s[0]) / 2
+        received, _ = np.histogram(arrived_s, self.edges_s, weights=np.nan_to_num(frame_bytes))
+        return 8e-6 * received / np.diff(self.edges_s)
+
+    def link_mbps(self, link: Trace) -> tuple[F64, F64]:
+        """The ``link``'s capacity in windows of equal length, from the connection on: edges [N + 1] in s, Mbps [N]."""
+        begin_s, end_s = self.edges_s[[0, -1]]
+        edges_s = np.linspace(begin_s, end_s, min(round((end_s - begin_s) / WINDOW_S), MOST_WINDOWS) + 1)
+        edges_us = np.rint(1e6 * (edges_s - begin_s)).astype(int).tolist()
+        return edges_s, np.array([link.mean_bps(*window) / 1e6 for window in pairwise(edges_us)])
 
 
-def plot_stream(frames: Sequence[JsonObject], capacity: tuple[Any, Any] | None, path: Path) -> None:
-    """Plot quality, detail and rate over time. ``capacity`` is (times in s, Mbps) of the link."""
+def plot_stream(frames: Sequence[JsonObject], path: Path, *, waited_s: float = 0.0, link: Trace | None) -> None:
+    """Plot quality, detail and rate of ``frames`` over time, beside the capacity of the ``link``, whose time begins with
+    the connection, ``waited_s`` before the first frame. Without frames nothing is drawn.
+    """
     import matplotlib as mpl
 
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    time_s = series(frames, "time_us") / 1e6
-    time_s -= time_s[0] if len(time_s) else 0.0
+    if not frames:
+        return
+    times = StreamTimes.of(frames, waited_s)
     figure, (quality, detail, rate) = plt.subplots(3, 1, sharex=True, figsize=(10, 8), layout="constrained")
-    for key, colour in (
-        ("psnr_distorted_db", "tab:red"),
-        ("psnr_aligned_db", "tab:orange"),
-        ("psnr_restored_db", "tab:green"),
-    ):
+    for key, (colour, label) in PICTURES.items():
         values = series(frames, key)
         if np.isfinite(values).any():  # only some restorers align a picture
-            quality.plot(time_s, values, color=colour, label=key.split("_")[1])
+            quality.plot(times.frames_s, values, color=colour, label=label)
     quality.set_ylabel("PSNR [dB]")
-    quality.legend(loc="lower right")
-    detail.plot(time_s, series(frames, "lod_mean"), color="tab:blue")
+    if quality.lines:
+        quality.legend(loc="lower right")
+    detail.plot(times.frames_s, series(frames, "lod_mean"), color="tab:blue")
     detail.set_ylabel("mean LoD shown")
-    span_s = np.diff(time_s, append=time_s[-1:] + 1 / 30)
+    detail.set_ylim(bottom=0)
     for key, colour in (("bytes_tiles", "tab:blue"), ("bytes_reference", "tab:purple")):
-        rate.step(
-            time_s,
-            series(frames, key) * 8e-6 / np.maximum(span_s, 1e-3),
-            where="post",
-            color=colour,
-            label=key.split("_")[1],
-        )
-    if capacity is not None:
-        rate.step(*capacity, where="post", color="0.6", label="link")
-        rate.set_xlim(0, max(float(time_s[-1]), 0.1))
+        rate.stairs(times.rates_mbps(series(frames, key)), times.edges_s, color=colour, label=key.split("_")[1])
+    if link is not None:
+        edges_s, mbps = times.link_mbps(link)
+        rate.stairs(mbps, edges_s, color="0.6", label="link", baseline=None)
+    rate.set_xlim(*times.edges_s[[0, -1]])
+    rate.set_ylim(bottom=0)
     rate.set_ylabel("Mbps")
-    rate.set_xlabel("time [s]")
+    rate.set_xlabel("time from the first frame [s]")
+    if waited_s > 0:
+        for axes in (quality, detail, rate):
+            axes.axvspan(-waited_s, 0.0, color="0.94", zorder=0)
+        detail.text(-waited_s / 2, 0.5, "before the\nfirst frame", transform=detail.get_xaxis_transform(), **CENTRED)
     rate.legend(loc="upper right")
     figure.savefig(path, dpi=110)
     plt.close(figure)

@@ -18,7 +18,6 @@ from cags_bench.inputs import check_walks
 from cags_bench.jsonl import provenance
 from cags_bench.stream_report import (
     STAGES_EVERY,
-    capacity_series,
     gain_db,
     plot_stream,
     read_lines,
@@ -207,10 +206,8 @@ def write_report(report: Path, settings: DemoSettings, clip_frames: int) -> dict
     from cags_shaper.trace import open_trace
 
     frames, summary = read_lines(report / "frames.jsonl")
-    seconds = max((frames[-1]["time_us"] - frames[0]["time_us"]) / 1e6, 0.1) if frames else 0.1
-    begun_us = round(1000 * (summary.get("first_frame_ms") or 0))  # the link's time begins with the connection
-    capacity = capacity_series(open_trace(link_trace(settings)), seconds, begun_us)
-    plot_stream(frames, capacity, report / "timeline.png")
+    waited_s = (summary.get("first_frame_ms") or 0) / 1e3  # the link's time begins with the connection
+    plot_stream(frames, report / "timeline.png", waited_s=waited_s, link=open_trace(link_trace(settings)))
     chosen = telling_frame(frames)
     strip: dict[str, Any] | None = None
     if chosen is not None and write_strip(report / "stages", chosen, report / "strip.png"):

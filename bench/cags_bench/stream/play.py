@@ -199,12 +199,11 @@ def rate_and_end(scenario: Scenario) -> tuple[float, int]:
 
 def write_report(out: Path, scenario: Scenario, result: SessionResult) -> None:
     """Write frames, a plot over time and a strip of pictures."""
-    from cags_bench.stream_report import capacity_series, plot_stream, telling_frame, write_strip
+    from cags_bench.stream_report import plot_stream, telling_frame, write_strip
 
     (out / "frames.jsonl").write_text("".join(dump(line) + "\n" for line in result.frames), encoding="utf-8")
-    times_us = [line["time_us"] for line in result.frames]  # since the link's beginning
-    seconds = max((times_us[-1] - times_us[0]) / 1e6, 0.1)
-    plot_stream(result.frames, capacity_series(scenario.link(), seconds, times_us[0]), out / "timeline.png")
+    waited_s = result.frames[0]["time_us"] / 1e6 if result.frames else 0.0  # the link begins at 0
+    plot_stream(result.frames, out / "timeline.png", waited_s=waited_s, link=scenario.link())
     chosen = telling_frame(result.frames)
     if chosen is not None:
         write_strip(out / "stages", chosen, out / STRIP)

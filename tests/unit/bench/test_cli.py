@@ -155,17 +155,19 @@ def test_the_demo_reports_the_frame_of_its_strip(tmp_path, gains_db, chosen):
     assert (tmp_path / "strip.png").exists() == (chosen is not None)
 
 
-def test_the_demo_plots_the_link_from_when_the_first_frame_was_due(tmp_path, monkeypatch):
+def test_the_demo_plots_the_link_from_the_connection_on(tmp_path, monkeypatch):
     frame = {"frame": 0, "time_us": 9_000_000, "psnr_distorted_db": 30.0, "psnr_restored_db": 30.0}
     frame |= {"lod_mean": 1.0, "bytes_tiles": 1, "bytes_reference": 1}
     lines = [frame, {"summary": True, "first_frame_ms": 2500.0}]
     (tmp_path / "frames.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     (tmp_path / "stages").mkdir()
     plotted = []
-    monkeypatch.setattr(run, "plot_stream", lambda frames, capacity, path: plotted.append(capacity[1][0]))
+    monkeypatch.setattr(run, "plot_stream", lambda frames, path, **beside: plotted.append(beside))
     settings = DemoSettings()
     run.write_report(tmp_path, settings, 30)
-    assert plotted == [open_trace(run.link_trace(settings)).mean_bps(2_500_000, 2_600_000) / 1e6]
+    [beside] = plotted
+    assert beside["waited_s"] == 2.5
+    assert beside["link"].mean_bps(0, 100_000) == open_trace(run.link_trace(settings)).mean_bps(0, 100_000)
 
 
 def test_a_link_to_a_report_stays_a_link(played, tmp_path):
