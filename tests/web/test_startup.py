@@ -18,9 +18,9 @@ def _play(seed: int) -> dict[str, Any]:
     for _ in range(60):
         now += rng.choice([0, 5_000, 60_000, 260_000])
         op = rng.choices(["came", "preview", "whole"], [5, 4, 1])[0]
-        equipped = rng.random() < 0.7
-        said = startup.came(now, equipped=equipped) if op == "came" else getattr(startup, op)(now)
-        steps.append({"op": op, "now": now, "equipped": equipped, "said": said, "ends": startup.ends_us})
+        tile, equipped = rng.random() < 0.5, rng.random() < 0.7
+        said = startup.came(now, tile=tile, equipped=equipped) if op == "came" else getattr(startup, op)(now)
+        steps.append({"op": op, "now": now, "tile": tile, "equipped": equipped, "said": said, "ends": startup.ends_us})
     return {"most": most, "begun": begun, "steps": steps}
 
 

@@ -256,10 +256,11 @@ export interface Status {
  * the start frame is when a player may say `play`. `flushed`: everything before a jump is past; references after it are
  * of the new place (references that were received before it are to be forgotten). `restarted`: a new connection serves
  * the play; references that are there stay in use, the video decoder is reset, and `resumeAt`, where there was a play, is
- * what the source has told the server. `arrived`: tiles, or parts of messages, have come; told until a play has been asked for, while it is held. */
+ * what the source has told the server. `arrived`: tiles, codebooks or parts of messages have come; told
+ * until a play has been asked for, while it is held. */
 export type SourceEvent =
   | { readonly type: "info"; readonly info: SceneInfo }
-  | { readonly type: "arrived"; readonly atUs: number; readonly equipped: boolean }
+  | { readonly type: "arrived"; readonly atUs: number; readonly tile: boolean; readonly equipped: boolean }
   | { readonly type: "whole"; readonly frame: number; readonly mark: number }
   | { readonly type: "reference"; readonly reference: Reference }
   | { readonly type: "mark"; readonly mark: number }

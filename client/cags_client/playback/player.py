@@ -117,7 +117,7 @@ class Player:
         self.stats.last_byte_us = now_us
         self._session.receive(data, now_us=now_us)
         if self._session.partial_bytes:
-            self._came(now_us)
+            self._came(now_us, tile=False)
         self._pump(now_us)
         if self.backed_up and not (self.pipeline and self.pipeline.opens_tiles):
             self._fail(NetworkError("the server sends tiles without the codebooks that they need"))
@@ -272,7 +272,7 @@ class Player:
                 self.stats.bytes_other += len(data)
                 self._on_blob(name, data, now_us)
             case ev.TileReceived(_, payload):
-                self._came(now_us)
+                self._came(now_us, tile=True)
                 self.stats.bytes_tiles += len(payload)
                 self._take(event)
             case ev.ReferenceReceived(_, payload):
@@ -361,17 +361,17 @@ class Player:
         if self._said_view != self.settings.intrinsics and self._reconnect.possible:  # while this was on its way
             self._rejoin(now_us)
 
-    def _came(self, now_us: int) -> None:
-        """Something for the first frame has arrived."""
-        self._startup.came(now_us, equipped=self._codebooks is not None)
+    def _came(self, now_us: int, *, tile: bool) -> None:
+        """Something for the first frame has arrived: a tile, or codebooks, or a part of anything."""
+        self._startup.came(now_us, tile=tile, equipped=self._codebooks is not None)
 
     def _on_blob(self, name: str, data: bytes, now_us: int) -> None:
         if name == CODEBOOKS_BLOB:
             self._on_codebooks(data)
-            self._came(now_us)
+            self._came(now_us, tile=False)
         elif name == BASE_CODEBOOKS_BLOB and self.pipeline is not None:
             self._try(self.pipeline.on_base_codebooks, data)
-            self._came(now_us)
+            self._came(now_us, tile=False)
         elif name == WEIGHTS_BLOB:
             self._weights = data
             self._take_weights()

@@ -11,8 +11,8 @@ QUIET_US = 250_000
 """The hold ends when no tile has arrived for this long, nor a part of one: over a slow link one may take longer."""
 
 UNREFINED_QUIET_US = 1_000_000
-"""The same from the codebooks on until the first thing after them: what waited behind them, as references planned
-meanwhile, may come before the tiles.
+"""The same from the codebooks on until the first tile after them: what waited behind them, as references planned
+meanwhile, comes before the tiles.
 """
 
 PREVIEW_EVERY_US = 200_000
@@ -33,11 +33,11 @@ class Startup:
         what was refined since. They are forgotten when the clip plays.
         """
 
-    def came(self, now_us: int, *, equipped: bool = True) -> None:
-        """A tile has arrived, or a part of a message; ``equipped``: after the codebooks of all levels. Before, nothing
-        can be refined, and the hold does not end.
+    def came(self, now_us: int, *, tile: bool = True, equipped: bool = True) -> None:
+        """A ``tile`` has arrived, or codebooks, or a part of a message; ``equipped``: after the codebooks of all levels.
+        Before, nothing can be refined, and the hold does not end.
         """
-        self._refined = self._equipped
+        self._refined = self._equipped and (tile or self._refined)
         if equipped and not self._equipped:
             self._equipped_us = now_us
         self._newest_us, self._equipped = now_us, equipped

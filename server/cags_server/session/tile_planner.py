@@ -80,18 +80,23 @@ class TilePlanner:
     def passed_over(self, plan: FramePlan, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
         """Tiles and ends of the frames before the one planned ahead that no earlier plan served.
 
-        Where they are many, as at the beginning, only in bundles that send splats anew for every frame: otherwise
-        motion that comes with later frames will do.
+        Where they are many, as at the beginning, a bundle with motion brings only the chunks that begin in them: what
+        moves would stand still until others began. What else changes in these frames alone is passed over.
         """
-        if self._library.manifest.motion is not None and len(plan.before) > FEW_PASSED:
-            return []
+        many = self._library.manifest.motion is not None and len(plan.before) > FEW_PASSED
         out: list[ev.Outgoing] = []
         for ahead in plan.before:
             ended = -1 if self._tiles.ended is None else self._tiles.ended
-            if ended < ahead.frame < plan.ahead.frame and self._visibility.tells_of(ahead.frame):
-                step = replace(record, ahead=ahead, tile_bytes=0)
-                out += self._chosen(self._visibility.tiles(ahead.frame), step, now_us)
-                record.tile_bytes += step.tile_bytes
+            if not ended < ahead.frame < plan.ahead.frame or not self._visibility.tells_of(ahead.frame):
+                continue
+            tiles = self._visibility.tiles(ahead.frame)
+            if many:
+                tiles = tuple(tile for tile in tiles if tile.kind == TileKind.MOTION and tile.frame == ahead.frame)
+                if not tiles:
+                    continue
+            step = replace(record, ahead=ahead, tile_bytes=0)
+            out += self._chosen(tiles, step, now_us)
+            record.tile_bytes += step.tile_bytes
         return out
 
     def frame(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> list[ev.Outgoing]:

@@ -286,7 +286,7 @@ export class Player {
         this.#events.info(event.info);
         break;
       case "arrived":
-        this.#startup.came(event.atUs, event.equipped);
+        this.#startup.came(event.atUs, event.tile, event.equipped);
         this.#news = true;
         break;
       case "whole":

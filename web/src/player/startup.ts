@@ -7,8 +7,8 @@
 export const STARTUP_US = 1_500_000;
 /** The hold ends when no tile has arrived for this long, nor a part of one: over a slow link one may take longer. */
 const QUIET_US = 250_000;
-/** The same from the codebooks on until the first thing after them: what waited behind them, as references planned
- * meanwhile, may come before the tiles. */
+/** The same from the codebooks on until the first tile after them: what waited behind them, as references planned
+ * meanwhile, comes before the tiles. */
 const UNREFINED_QUIET_US = 1_000_000;
 /** While tiles arrive, the held frame is redrawn at this interval. */
 const PREVIEW_EVERY_US = 200_000;
@@ -32,10 +32,10 @@ export class Startup {
     this.#newestUs = this.#drawnUs = this.#equippedUs = nowUs;
   }
 
-  /** A tile has arrived, or a part of a message; `equipped`: after the codebooks of all levels. Before, nothing can be
-   * refined, and the hold does not end. */
-  came(nowUs: number, equipped = true): void {
-    this.#refined = this.#equipped;
+  /** A `tile` has arrived, or codebooks, or a part of a message; `equipped`: after the codebooks of all levels. Before,
+   * nothing can be refined, and the hold does not end. */
+  came(nowUs: number, tile: boolean, equipped: boolean): void {
+    this.#refined = this.#equipped && (tile || this.#refined);
     if (equipped && !this.#equipped) this.#equippedUs = nowUs;
     this.#newestUs = nowUs;
     this.#equipped = equipped;

@@ -89,7 +89,7 @@ export class LiveSource implements SceneSource {
   private decoding = false;
   private said: Intrinsics | undefined; // to the server
   private rejoining = false; // by our own wish, which is no trouble to tell of
-  private tilesCame = false; // or a part of a message, since that was told last
+  private came: "nothing" | "part" | "tile" = "nothing"; // the most of it, since that was told last
 
   constructor(decoders: Decoders, openSocket: OpenSocket = openWebSocket) {
     this.decoders = decoders;
@@ -281,7 +281,7 @@ export class LiveSource implements SceneSource {
   private take(bytes: Uint8Array): void {
     const now = nowUs();
     this.session.receive(bytes, now);
-    if (this.session.partialBytes) this.tilesCame = true;
+    if (this.session.partialBytes) this.partCame();
     this.pump();
     this.tellArrived(now);
     if (!this.scene?.ready && this.queue.undecodedBytes > MAX_UNDECODED_BYTES) {
@@ -292,8 +292,14 @@ export class LiveSource implements SceneSource {
   /** While the play is held, how long depends on what still arrives. */
   private tellArrived(atUs: number): void {
     const held = this.playState === undefined || this.playState.action === "pause";
-    if (this.tilesCame && held && !this.ended) this.listen({ type: "arrived", atUs, equipped: this.codebooks !== undefined });
-    this.tilesCame = false;
+    if (this.came !== "nothing" && held && !this.ended) {
+      this.listen({ type: "arrived", atUs, tile: this.came === "tile", equipped: this.codebooks !== undefined });
+    }
+    this.came = "nothing";
+  }
+
+  private partCame(): void {
+    if (this.came === "nothing") this.came = "part";
   }
 
   private pump(): void {
@@ -306,7 +312,7 @@ export class LiveSource implements SceneSource {
       case "blob": return this.onBlob(event.name, event.data);
       case "tile":
         this.meter.bytesTiles += event.payload.length;
-        this.tilesCame = true;
+        this.came = "tile";
         return this.keep(event);
       case "reference":
         this.meter.bytesReference += event.payload.length;
@@ -387,7 +393,7 @@ export class LiveSource implements SceneSource {
       return this.fail("codebooks", "the server streams another encoding of the scene now; reload the page");
     }
     if (whole) this.codebooks = data;
-    this.tilesCame = true;
+    this.partCame();
     try {
       if (whole) scene.codebooks(data);
       else scene.baseCodebooks(data);

@@ -206,7 +206,7 @@ test("the first frame is held, and seen, until a quarter of a second brings noth
   await page.until("a picture of what is held", () => page.player.shown !== null);
   let newest = 0;
   while (nowUs() - begun < 300_000) {
-    page.player.handle({ type: "arrived", atUs: (newest = nowUs()), equipped: true });
+    page.player.handle({ type: "arrived", atUs: (newest = nowUs()), tile: true, equipped: true });
     page.player.step();
     await sleep(20);
   }
@@ -224,7 +224,7 @@ test("the first frame is held no longer than it may be, and not at all for a vie
   const begun = nowUs();
   page.whole(0);
   await page.until("the play", () => {
-    page.player.handle({ type: "arrived", atUs: nowUs(), equipped: true });
+    page.player.handle({ type: "arrived", atUs: nowUs(), tile: true, equipped: true });
     return page.actions.length > 1;
   });
   const heldUs = page.source.told[1]!.atUs - 250_000 - begun;
@@ -279,7 +279,7 @@ test("a device that is too slow draws fewer pixels and then fewer frames, and pi
   page.whole(0);
   const begun = nowUs();
   await page.until("the play", () => {
-    if (nowUs() - begun < 700_000) page.player.handle({ type: "arrived", atUs: nowUs(), equipped: true });
+    if (nowUs() - begun < 700_000) page.player.handle({ type: "arrived", atUs: nowUs(), tile: true, equipped: true });
     return page.actions.includes("play");
   });
   assert.ok(page.source.asked.length >= 3, "several pictures were drawn");

@@ -6,6 +6,7 @@ import { vectors } from "./vectors.ts";
 interface Step {
   op: "came" | "whole" | "preview";
   now: number;
+  tile: boolean;
   equipped: boolean;
   said: boolean | null;
   ends: number | null;
@@ -16,8 +17,8 @@ test("the first frame is held by Python's rule", () => {
   assert.equal(STARTUP_US, longest);
   for (const { most, begun, steps } of plays) {
     const startup = new Startup(most, begun);
-    for (const { op, now, equipped, said, ends } of steps) {
-      assert.equal((op === "came" ? startup.came(now, equipped) : startup[op](now)) ?? null, said);
+    for (const { op, now, tile, equipped, said, ends } of steps) {
+      assert.equal((op === "came" ? startup.came(now, tile, equipped) : startup[op](now)) ?? null, said);
       assert.equal(startup.endsUs ?? null, ends);
     }
   }

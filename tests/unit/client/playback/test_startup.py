@@ -68,7 +68,11 @@ def test_what_comes_between_codebooks_and_tiles_does_not_end_the_hold() -> None:
     startup = Startup(2 * UNREFINED_QUIET_US, 0)
     startup.whole(100_000)
     startup.came(500_000, equipped=False)
-    startup.came(600_000)  # the codebooks
+    startup.came(600_000, tile=False)  # the codebooks
     assert startup.ends_us == 600_000 + UNREFINED_QUIET_US
+    startup.came(700_000, tile=False)  # a part of a reference, which counted as what ends the longer wait
+    assert startup.ends_us == 700_000 + UNREFINED_QUIET_US
     startup.came(900_000)  # the first tile that needs them
     assert startup.ends_us == 900_000 + QUIET_US
+    startup.came(950_000, tile=False)
+    assert startup.ends_us == 950_000 + QUIET_US

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import uuid
 from dataclasses import replace
 from typing import Any
 
@@ -9,10 +10,12 @@ import pytest
 
 from cags_common.geometry import Pose
 from cags_common.raster.base import Footprint
+from cags_common.tiles.kinds import TileKind
 from cags_protocol import events as ev
 from cags_protocol.wire.messages import FrameEnd, Mark, ReferenceFrame, TileLayers
 from cags_server.reference.job import FrameJob
 from cags_server.settings import PLAIN
+from support.moving_bundle import moving_library
 from support.server_scene import BIRTH, SETTINGS, FakeReader, FakeScene, hello, library
 from support.streamer_rig import OFFSET_US, Rig, of
 
@@ -56,6 +59,24 @@ def test_of_frames_that_end_together_each_ends_as_soon_as_its_own_tiles_are_ther
         end = next(at for at, message in enumerate(out) if isinstance(message, FrameEnd) and message.frame == frame)
         base = [message for message in out if isinstance(message, TileLayers) and message.from_lod == 0]
         assert {message.frame for message in base if out.index(message) < end} == set(range(1, frame + 1))
+
+
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_motion_that_begins_in_many_frames_passed_over_goes_too(seed: int) -> None:
+    """It went with later frames, if ever: what moves stood still until another chunk of it began."""
+    scene = moving_library(f"memory://{uuid.uuid4().hex}", seed)
+    rig = Rig(replace(SETTINGS, tiles_ahead=5), served=scene)
+    rig.play()
+    out = rig.step()
+    begins = {
+        (tile.frame, tile.tile)
+        for frame in range(1, 5)
+        for tile in rig.streamer._visibility.tiles(frame)
+        if tile.kind == TileKind.MOTION and tile.frame == frame and tile.looks and tile.looks[0] == 0
+    }
+    assert begins
+    assert begins <= {*first_levels(rig.opening), *first_levels(out)}
+    assert ends(out) == [1, 2, 3, 4, 5]
 
 
 @pytest.mark.parametrize("references", ["auto", "difference"])
