@@ -91,8 +91,9 @@ class StreamTimes:
 
 
 def plot_stream(frames: Sequence[JsonObject], path: Path, *, waited_s: float = 0.0, link: Trace | None) -> None:
-    """Plot quality, detail and rate of ``frames`` over time, beside the capacity of the ``link``, whose time begins with
-    the connection, ``waited_s`` before the first frame. Without frames nothing is drawn.
+    """Plot quality, detail and rate of ``frames`` over time, beside the capacity of the ``link``.
+
+    The link's time begins with the connection, ``waited_s`` before the first frame. Without frames nothing is drawn.
     """
     import matplotlib as mpl
 

@@ -34,8 +34,9 @@ class Startup:
         """
 
     def came(self, now_us: int, *, tile: bool = True, equipped: bool = True) -> None:
-        """A ``tile`` has arrived, or codebooks, or a part of a message; ``equipped``: after the codebooks of all levels.
-        Before, nothing can be refined, and the hold does not end.
+        """A ``tile`` has arrived, or codebooks, or a part of a message.
+
+        ``equipped``: after the codebooks of all levels. Before, nothing can be refined, and the hold does not end.
         """
         self._refined = self._equipped and (tile or self._refined)
         if equipped and not self._equipped:
