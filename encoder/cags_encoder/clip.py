@@ -15,14 +15,14 @@ from cags_common.bundle.manifest import MotionSteps
 from cags_common.bundle.writer import GofWriter
 from cags_encoder.codecs.registry import ClipCodec
 from cags_encoder.codecs.svq import SvqCodec
-from cags_encoder.execution.executors import Shared, Workers, ahead
+from cags_encoder.execution.executors import INLINE, Shared, Workers, ahead
 from cags_encoder.execution.journal import FrameRecord, Journal
 from cags_encoder.frames.differential import DecoderCopy
 from cags_encoder.frames.moving import SHARE, MovingGroups
 from cags_encoder.frames.tasks import AnyCut, look, pack, quantise, quantise_looks
 from cags_encoder.motion.tolerance import Tolerances
 from cags_encoder.motion.trails import Trails
-from cags_encoder.scenes import FrameSource
+from cags_encoder.scenes import FrameSource, is_still
 from cags_encoder.settings import EncodeSettings
 from cags_encoder.tracks.lasting import ease_of
 from cags_encoder.tracks.placing import ClipPlacer, Placed
@@ -66,7 +66,8 @@ class ClipEncoder:
         With ``motion``, splats keep their looks and their motion is coded in these units, with the accuracy of
         ``tolerances``. Without it, changed splats are sent again.
         """
-        looks = ahead(self._workers, look, range(count), lambda index: (self._source, index))
+        readers = INLINE if is_still(self._source.get()) else self._workers
+        looks = ahead(readers, look, range(count), lambda index: (self._source, index))
         placed = self.placer.place(looks)
         chosen = self._differing(placed) if motion is None else self._moving(placed, motion, tolerances)
         for frame, record in self._packed(chosen, journal):

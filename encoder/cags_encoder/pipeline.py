@@ -44,7 +44,7 @@ from cags_encoder.pruning import prune, prune_within
 from cags_encoder.quantiser.importance import VIEWS as IMPORTANCE_VIEWS
 from cags_encoder.quantiser.importance import importance
 from cags_encoder.sampling import looked_at, training_splats
-from cags_encoder.scenes import Focus, FrameSource, focus_of
+from cags_encoder.scenes import Focus, FrameSource, focus_of, is_still
 from cags_encoder.settings import EncodeSettings
 from cags_encoder.views import cameras_around, near_plane
 
@@ -258,7 +258,8 @@ class _Encoding:
         shared = Shared(self._source)
 
         def frames() -> Iterator[tuple[int, Splats]]:
-            coming = ahead(self._workers, read, looks, lambda index: (shared, index))
+            workers = INLINE if is_still(self._source) else self._workers
+            coming = ahead(workers, read, looks, lambda index: (shared, index))
             for done, item in enumerate(coming, start=1):
                 yield item
                 self._tell("sample", done, len(looks))

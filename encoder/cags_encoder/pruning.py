@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -20,7 +21,7 @@ from cags_common.geometry import F32, Vec3
 from cags_common.metrics import covered_mask, ssim_map
 from cags_common.raster import DepthKind, RenderOptions, create
 from cags_common.splats import Ids, Splats
-from cags_encoder.scenes import Focus, FrameSource
+from cags_encoder.scenes import Focus, FrameSource, is_still
 from cags_encoder.views import cameras_around, contributions
 
 SAMPLED_VIEWS = 24
@@ -71,6 +72,16 @@ class Ranking:
         return self._frames[index]
 
 
+@dataclass(eq=False)
+class _Kept:
+    """What stays of a frame; of a still scene also the arrays, which all of its frames share."""
+
+    frame: int
+    rows: NDArray[np.intp]
+    splats: Splats | None = None
+    ids: Ids | None = None
+
+
 class PrunedSource:
     """A :class:`FrameSource` of a scene without the ``share`` of its splats that contributes least.
 
@@ -79,7 +90,8 @@ class PrunedSource:
 
     def __init__(self, source: FrameSource, ranking: Ranking, share: float) -> None:
         self._source, self._ranking, self.share = source, ranking, share
-        self._held: tuple[int, NDArray[np.intp]] | None = None
+        self.still = is_still(source)
+        self._held: _Kept | None = None
 
     @property
     def name(self) -> str:
@@ -106,17 +118,25 @@ class PrunedSource:
 
     def frame(self, index: int) -> Splats:
         """Frame ``index`` without the pruned splats."""
-        return self._source.frame(index).take(self._kept(index))
+        kept = self._kept(index)
+        if not self.still:
+            return self._source.frame(index).take(kept.rows)
+        if kept.splats is None:
+            kept.splats = self._source.frame(index).take(kept.rows)
+        return kept.splats
 
     def ids(self, index: int) -> Ids | None:
         """The scene's identities of the remaining splats."""
-        known = self._source.ids(index)
-        return None if known is None else known[self._kept(index)]
+        kept = self._kept(index)
+        if not self.still or kept.ids is None:
+            known = self._source.ids(index)
+            kept.ids = None if known is None else known[kept.rows]
+        return kept.ids
 
-    def _kept(self, index: int) -> NDArray[np.intp]:
-        if self._held is None or self._held[0] != index:
-            self._held = index, self._ranking.kept(index, self.share)
-        return self._held[1]
+    def _kept(self, index: int) -> _Kept:
+        if self._held is None or not (self.still or self._held.frame == index):
+            self._held = _Kept(index, self._ranking.kept(index, self.share))
+        return self._held
 
 
 class PruningJudge:

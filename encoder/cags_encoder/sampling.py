@@ -39,6 +39,8 @@ def training_splats(name: str, looks: int, frames: Iterable[tuple[int, Splats]],
     first = next(coming)[1]
     known, changed = _keys(first), [first.take(slice(0, 0))]
     for index, splats in coming:
+        if splats is first:
+            continue
         check_degree(splats, first.sh_degree, f"{name}, frame {index}")
         fresh = {attribute: ~np.isin(keys, known[attribute]) for attribute, keys in _keys(splats).items()}
         changed.append(splats.take(_changed(fresh, int(count * (1 - FIRST_SHARE)) // (looks - 1), random)))

@@ -16,6 +16,9 @@ from cags_encoder.tracks.effect import drawn
 from cags_encoder.tracks.lasting import Allowed, bounds, lasting
 from cags_encoder.tracks.placing import Placed, Told
 
+PIECE = 65_536
+"""Splats whose fades are fitted at a time: each takes some 2 kB."""
+
 
 @dataclass(frozen=True, eq=False)
 class _Moment:
@@ -110,11 +113,17 @@ class Trails:
 
     def _add(self, frame: Placed) -> None:
         delta, before = frame.delta, self._newest
+        if before is not None and not len(delta.ids) and not len(delta.removed):
+            self._keep(frame, before)  # of millions of splats at rest, one copy
+            return
         moment = _grown(before, frame.capacity)
         moment.alive[delta.removed] = False
         ids, splats = delta.ids, delta.splats
         moment.means[ids], moment.quats[ids] = splats.means, splats.quats
         moment.opacities[ids], moment.alive[ids] = drawn(splats.logit_opacities), True
+        self._keep(frame, moment)
+
+    def _keep(self, frame: Placed, moment: _Moment) -> None:
         self._newest = self._moments[frame.index] = moment
         self._placed[frame.index] = frame
         self._ends[self._group] = frame.index
@@ -131,14 +140,24 @@ class Trails:
 
     def _peaks(self, frame: Placed, births: NDArray[np.intp], last: int) -> F32:
         """Opacity logits [m] of the delta's splats; for those of ``births`` that fade, the largest of their life."""
-        window = self.window(frame.delta.ids[births], frame.index, last)
+        logits = frame.delta.splats.logit_opacities.copy()
+        for first in range(0, len(births), PIECE):
+            rows = births[first : first + PIECE]
+            logits[rows] = self._raised(frame.delta.ids[rows], logits[rows], frame.index, last)
+        return logits
+
+    def _raised(self, ids: Ids, logits: F32, first: int, last: int) -> F32:
+        """``logits`` [n] of ``ids`` [n], which appear at frame ``first``; of those that fade, the largest of their life
+        up to frame ``last``.
+        """
+        window = self.window(ids, first, last)
         opacities = window.opacities.astype(np.float64)
         peak = peaks(opacities, window.present)
         middles = (window.present.sum(axis=0) - 1) / 2
         fades, fits = fit_fades(opacities, window.present, peak, middles)
         raised = (fades[:, 0] > 0) & fits
-        logits, top = frame.delta.splats.logit_opacities.copy(), peak[raised]
-        logits[births[raised]] = np.log(top / (1.0 - top))
+        logits, top = logits.copy(), peak[raised]
+        logits[raised] = np.log(top / (1.0 - top))
         return logits
 
 

@@ -1,6 +1,6 @@
 """Scenes that can be encoded, each opened by one spec string. See ``docs/scenes.md``."""
 
 from cags_encoder.scenes.open import open_scene
-from cags_encoder.scenes.source import Focus, FrameSource, focus_of
+from cags_encoder.scenes.source import Focus, FrameSource, focus_of, is_still
 
-__all__ = ["Focus", "FrameSource", "focus_of", "open_scene"]
+__all__ = ["Focus", "FrameSource", "focus_of", "is_still", "open_scene"]

@@ -63,6 +63,11 @@ class FileScene:
         """The options' focus, or the bulk of the first frame."""
         return self._focus
 
+    @property
+    def still(self) -> bool:
+        """Whether there is a single file (:func:`~cags_encoder.scenes.source.is_still`)."""
+        return len(self._files) == 1
+
     def __len__(self) -> int:
         return self._options.frames or (len(self._files) if len(self._files) > 1 else DEFAULT_STATIC_FRAMES)
 

@@ -77,6 +77,15 @@ class FrameSource(Protocol):
         ...
 
 
+def is_still(source: FrameSource) -> bool:
+    """Whether the frames of ``source`` are one: it says so by ``still``, and returns the same arrays for each.
+
+    Such a scene is read in this process, and what is the same object needs no comparison. A capture may have millions
+    of splats, and a copy of it for each frame would take more time than all the rest.
+    """
+    return bool(getattr(source, "still", False))
+
+
 def focus_of(splats: Splats) -> Focus:
     """A robust ball around the bulk of ``splats``.
 

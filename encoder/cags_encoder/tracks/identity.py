@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cags_common.bundle.tracks import TrackStatistics
 from cags_common.errors import SceneError
-from cags_common.splats import Ids, Splats
+from cags_common.splats import Ids
 from cags_encoder.tracks.hindsight import FRAMES, Linked, corrected
 from cags_encoder.tracks.linking import Looks, Rows, Tracks, alike, link
 from cags_encoder.tracks.looking import Look
@@ -36,6 +36,7 @@ class Identified:
     """A frame [n] with persistent identities."""
 
     look: Look
+    """The last frame's own object where neither splats nor identities differ from it, as in a still scene."""
     ids: NDArray[np.int64]  # [n]
     continuous: bool
     """Whether enough of them continue splats of the previous frame."""
@@ -58,7 +59,7 @@ class IdentityTracker:
     def __init__(self) -> None:
         self._ids: NDArray[np.int64] = np.zeros(0, np.int64)
         self._next = 0
-        self._before: Splats | None = None
+        self._look: Look | None = None  # that of the last frame
         self._counter = TrackCounter()
 
     def follow(self, frames: Iterable[tuple[str, Look]]) -> Iterator[Identified]:
@@ -84,18 +85,23 @@ class IdentityTracker:
     def _identified(self, frame: _Frame) -> Identified:
         rows = frame.rows
         found = rows >= 0
+        if frame.look is self._look:
+            self._counter.add(self._look.splats, self._look.splats, rows)
+            return Identified(frame.look, self._ids, True)
         ids = np.empty(len(rows), np.int64)
         ids[found] = self._ids[rows[found]]
         fresh = len(rows) - int(found.sum())
         ids[~found] = np.arange(self._next, self._next + fresh)
         self._next += fresh
-        self._counter.add(self._before, frame.look.splats, rows)
-        self._ids, self._before = ids, frame.look.splats
+        self._counter.add(self._look.splats if self._look else None, frame.look.splats, rows)
+        self._ids, self._look = ids, frame.look
         return Identified(frame.look, ids, bool(found.sum() >= MIN_OVERLAP * len(rows)))
 
     @staticmethod
     def _linked(before: _Frame | None, look: Look, name: str) -> _Frame:
         """``look`` linked to the frame ``before``."""
+        if before is not None and before.known is not None and _same(before.look, look):
+            return _Frame(before.look, before.known, np.arange(len(look.splats)), None)
         known = None if look.known is None else _checked(look.known, len(look.splats), name)
         if before is None:
             return _Frame(look, known, np.full(len(look.splats), -1, np.intp), None)
@@ -125,6 +131,11 @@ def _checked(known: Ids, count: int, source: str) -> NDArray[np.int64]:
     if len(ids) != count or len(np.unique(ids)) != count or ids.min(initial=0) < 0:
         raise SceneError(f"{source}: its splat identities must be distinct, not negative, and one per splat")
     return ids
+
+
+def _same(before: Look, after: Look) -> bool:
+    """Whether a still scene says the same again, without a look at the values."""
+    return after.splats is before.splats and after.known is before.known
 
 
 def _rows_of(ids: NDArray[np.int64], among: NDArray[np.int64]) -> Rows:

@@ -1,5 +1,8 @@
+from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,6 +13,9 @@ from cags_common.errors import CagsError, ConfigError, SceneError
 from cags_common.splats import Splats
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.cli import main
+from cags_encoder.execution.executors import InlineExecutor, Workers
+from cags_encoder.formats import write_splats
+from cags_encoder.scenes import open_scene
 from cags_encoder.tracks.effect import visible_effect
 from support.codec_scenes import cloud, with_changes
 
@@ -182,3 +188,28 @@ def test_every_error_of_a_wrong_place_is_ours(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     with pytest.raises(CagsError):
         encode([cloud(20)], FAST, str(tmp_path / "file" / "out"))
+
+
+class Noting(InlineExecutor):
+    """Notes which tasks workers get."""
+
+    def __init__(self) -> None:
+        self.tasks: list[str] = []
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        self.tasks.append(fn.__name__)
+        return super().submit(fn, *args, **kwargs)
+
+
+def test_frames_of_a_still_scene_are_not_passed_between_processes(tmp_path: Path) -> None:
+    write_splats(tmp_path / "a.ply", cloud(300, 5))
+    (tmp_path / "clip").mkdir()
+    for number in range(8):
+        write_splats(tmp_path / "clip" / f"{number}.ply", cloud(300, 5))
+    still, clip = Noting(), Noting()
+    for name, scene, executor in (("one", "a.ply:frames=8", still), ("many", "clip", clip)):
+        settings = replace(FAST, gof_frames=5)
+        encode(open_scene(f"{tmp_path}/{scene}"), settings, str(tmp_path / name), workers=Workers(executor, 2))
+    assert {"look", "read"} <= set(clip.tasks) and not {"look", "read"} & set(still.tasks)
+    bundles = [BundleReader.open(str(tmp_path / name)) for name in ("one", "many")]
+    assert bundles[0].manifest.gofs == bundles[1].manifest.gofs

@@ -12,9 +12,10 @@ from cags_common.raster import create
 from cags_common.splats import Splats
 from cags_common.tiles.kinds import TileKind
 from cags_encoder import EncodeSettings, encode
+from cags_encoder.formats import write_splats
 from cags_encoder.pipeline import SplatSequence
 from cags_encoder.pruning import PrunedSource, Ranking, prune, prune_within
-from cags_encoder.scenes import Focus, open_scene
+from cags_encoder.scenes import Focus, is_still, open_scene
 from cags_encoder.views import cameras_around, contributions
 from support.codec_scenes import cloud, with_changes
 
@@ -104,3 +105,12 @@ def test_the_cost_is_kept_in_the_bundle(tmp_path: Path) -> None:
     with pytest.raises(BundleError, match=r"pruning\.ssim"):
         Manifest.from_json(damaged)
     assert b"pruning" not in replace(manifest, pruning=None).to_json()
+
+
+@needs_kernels
+def test_a_still_scene_stays_still(tmp_path: Path) -> None:
+    write_splats(tmp_path / "still.ply", half_hidden())
+    source = open_scene(f"{tmp_path}/still.ply:frames=3")
+    pruned = PrunedSource(source, Ranking(source, 3), 0.2)
+    assert is_still(pruned) and len(pruned.frame(0)) == 320
+    assert pruned.frame(0) is pruned.frame(2) and pruned.ids(0) is pruned.ids(2)

@@ -41,6 +41,13 @@ def test_a_clip_that_only_moves_is_sampled_from_its_first_frame() -> None:
     assert np.isin(chosen.means[:, 0], first.means[:, 0]).all()
 
 
+def test_the_same_frame_again_adds_nothing() -> None:
+    first = random_splats(50, seed=1)
+    copy = first.take(np.arange(50))
+    once, twice = (training_splats("clip", 2, [(0, first), (1, again)], 40, seed=0) for again in (first, copy))
+    assert all(np.array_equal(a, b) for (_, a), (_, b) in zip(once.arrays(), twice.arrays(), strict=True))
+
+
 def test_frames_of_another_degree_are_named() -> None:
     clip = [(0, random_splats(5)), (7, random_splats(5, degree=1))]
     with pytest.raises(SceneError, match="clip, frame 7: SH degree 1, but 0 before"):

@@ -1,12 +1,15 @@
 """The focus of a scene."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cags_common.splats import Splats
-from cags_encoder.scenes.source import SEEN_SIGMAS, focus_of
+from cags_encoder.formats import write_splats
+from cags_encoder.scenes import open_scene
+from cags_encoder.scenes.source import SEEN_SIGMAS, focus_of, is_still
 from support.splat_files import random_splats
 
 
@@ -57,3 +60,12 @@ def test_sizes_that_no_bundle_could_hold_are_limited() -> None:
     splats = at(np.zeros((3, 3)))
     assert focus_of(replace(splats, log_scales=np.full((3, 3), -300, np.float32))).radius > 0
     assert focus_of(replace(splats, log_scales=np.full((3, 3), 1e30, np.float32))).radius < 1e12
+
+
+def test_only_a_scene_of_one_file_is_still(tmp_path: Path) -> None:
+    for number in range(2):
+        write_splats(tmp_path / f"{number}.ply", at(np.ones((20, 3)) * number))
+    single, clip = open_scene(f"{tmp_path}/0.ply:frames=3"), open_scene(str(tmp_path))
+    assert is_still(single) and single.frame(0) is single.frame(2) and single.ids(0) is single.ids(2)
+    assert not is_still(clip) and not is_still(open_scene("procedural:size=500,frames=2"))
+    assert not is_still(open_scene(f"{tmp_path}/0.ply:shuffle=1"))

@@ -111,3 +111,14 @@ def test_every_frame_comes_once_and_in_order(known_from: int) -> None:
         given = [rows[at:] if at >= known_from else None for at in range(count)]
         found = followed(*zip(frames, given, strict=True))
         assert [len(ids) for ids, _ in found] == [50 - at for at in range(count)]
+
+
+def test_a_still_scene_keeps_one_look_and_its_identities() -> None:
+    splats, rows = cloud(50), np.arange(50, dtype=np.int32)
+    tracker = IdentityTracker()
+    frames = list(tracker.follow(("x", Look(splats, rows)) for _ in range(6)))
+    assert len(frames) == 6 and [frame.continuous for frame in frames] == [False, *[True] * 5]
+    assert all(frame.look is frames[0].look and frame.ids is frames[0].ids for frame in frames)
+    copies = IdentityTracker()
+    list(copies.follow(("x", Look(with_changes(splats, means=splats.means.copy()), rows)) for _ in range(6)))
+    assert tracker.statistics() == copies.statistics()

@@ -46,3 +46,13 @@ def test_who_gets_too_far_from_where_they_began_begins_anew() -> None:
         if births.any() and len(born) == 3:
             assert identity_of[delta.removed[0]] == traveller
     assert born == [0, 0, 1, 0, 0]
+
+
+def test_a_frame_that_is_the_last_one_changes_nothing() -> None:
+    placer, splats, identities = Placer(), cloud(50), np.arange(50)
+    placer.place(splats, identities)
+    for _ in range(2):
+        delta, births, looks = placer.place(splats, identities)
+        assert not len(delta.ids) and not len(delta.removed) and not len(births) and not len(looks)
+    delta, *_ = placer.place(with_changes(splats, means=splats.means + np.float32(1)), identities)
+    assert len(delta.ids) == 50
