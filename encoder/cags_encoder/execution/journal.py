@@ -56,7 +56,11 @@ class Journal:
             raise BundleError(
                 f"{folder}: cannot be written ({error.strerror or error}); use --no-resume to keep no records"
             ) from error
-        self._belongs_to("input", key)
+        try:
+            self._belongs_to("input", key)
+        except BaseException:  # a full disk
+            self._close()
+            raise
 
     def __enter__(self) -> Journal:
         return self
@@ -64,6 +68,9 @@ class Journal:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._close()
+
+    def _close(self) -> None:
         if self._folder.is_dir() and not any(self._folder.glob("*.npz")):
             shutil.rmtree(self._folder, ignore_errors=True)  # no finished frames
         self._lock.close()

@@ -8,8 +8,9 @@ from typing import IO
 import pytest
 
 from cags_common.bundle import TilePayloads
-from cags_common.errors import BundleError
+from cags_common.errors import BundleError, OutputError
 from cags_common.tiles.kinds import TileKind
+from cags_encoder.execution import journal
 from cags_encoder.execution.journal import FrameRecord, Journal
 
 TILES = (
@@ -102,3 +103,15 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     with pytest.raises(BundleError, match="file/below: cannot be written"):
         Journal(tmp_path / "file" / "below", "key")
+
+
+def test_a_full_disk_at_the_beginning_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(path: Path, data: bytes) -> None:
+        raise OutputError(f"{path}: cannot be written (No space left on device)")
+
+    with monkeypatch.context() as patch, pytest.raises(OutputError, match="No space left"):
+        patch.setattr(journal, "write_whole", full)
+        Journal(tmp_path / "records", "key")
+    assert not list(tmp_path.iterdir())
+    with Journal(tmp_path / "records", "key") as unlocked:
+        unlocked.add(0, RECORD)
