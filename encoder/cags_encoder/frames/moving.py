@@ -91,6 +91,7 @@ class _Track:
     ids: Ids  # [n]
     anchors: F32  # [n, 3] decoded positions
     coarse: F32  # [n, 3] those of level 0
+    means: F32  # [n, 3] and
     quats: F32  # [n, 4] of the source, when the looks were sent
     steps: Steps
     round: NDArray[np.bool_]
@@ -232,7 +233,7 @@ class MovingGroups:
         steps = Steps(self._steps.moves[base], self._steps.turns[base])
         coarse = self._codec.means_at(coded, 0)
         return _Track(
-            *(key, tile.ids, shown.means, coarse, source.quats, steps, is_round, key[0], self._span),
+            *(key, tile.ids, shown.means, coarse, source.means, source.quats, steps, is_round, key[0], self._span),
             refined=coded.refined,
         )
 
@@ -466,6 +467,8 @@ class MovingGroups:
         else:
             means, quats = track.anchors, track.quats
         alive = window.present[0]
+        if track.end is None and not track.refined and _rests(window, track.means, track.quats, alive):
+            return True  # positions are as exact as the ladder of levels has them: what is finer was not worth it
         away = np.abs(window.means[:, alive] - means[alive]).max(axis=2, initial=0.0)
         moved, turned_ = (min(STILL * t.top, 1.0) for t in (self._tolerated.moves, self._tolerated.turns))
         if (away > moved * track.steps.moves[alive]).any():
@@ -491,6 +494,11 @@ class MovingGroups:
         self._faded.append(track.ids[mine & self._fading[track.ids] & (fades[:, 0] == 0)])
         self._fading[track.ids[mine]] = fades[mine, 0] > 0
         return fades if fades.any() else None
+
+
+def _rests(window: Window, means: F32, quats: F32, alive: NDArray[np.bool_]) -> bool:
+    """Whether the splats that are ``alive`` [n] keep the positions and rotations [n] that their looks had."""
+    return bool(np.all(window.means[:, alive] == means[alive]) and np.all(window.quats[:, alive] == quats[alive]))
 
 
 def _svq(quantised: QuantisedDelta) -> SvqSplats:

@@ -106,9 +106,11 @@ def test_only_what_changed_is_sent(tmp_path: Path) -> None:
     assert max(sent[1], sent[2], sent[4]) <= 100
 
 
-def test_a_static_scene_sends_nothing_after_its_first_frame(tmp_path: Path) -> None:
+@pytest.mark.parametrize("step", [None, 4.0])
+def test_a_static_scene_sends_nothing_after_its_first_frame(step: float | None, tmp_path: Path) -> None:
+    """Motion does not refine coarse positions of what is at rest."""
     splats = cloud(300)
-    encode([splats] * 4, FAST, str(tmp_path / "out"))
+    encode([splats] * 4, replace(FAST, position_step=step), str(tmp_path / "out"))
     reader = BundleReader.open(str(tmp_path / "out"))
     assert [len(reader.frame(i).tiles) for i in range(4)] == [1, 0, 0, 0]
     assert [reader.frame(i).size_bytes for i in range(1, 4)] == [0, 0, 0]
