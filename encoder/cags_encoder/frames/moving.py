@@ -25,7 +25,7 @@ from cags_common.tiles.updates import RAMP_COLUMNS
 from cags_encoder.codecs.svq import SvqCodec, SvqSplats
 from cags_encoder.frames.differential import QuantisedDelta
 from cags_encoder.motion.chunks import ROUND, TrackSpan
-from cags_encoder.motion.fades import fit_fades
+from cags_encoder.motion.fades import changing, fit_fades
 from cags_encoder.motion.tolerance import Tolerances
 from cags_encoder.motion.trails import Trails, Window
 from cags_encoder.settings import EncodeSettings
@@ -489,7 +489,8 @@ class MovingGroups:
         opacities = window.opacities.astype(np.float64)
         middles = (window.present.sum(axis=0) - 1) / 2
         fades, fits = fit_fades(opacities, window.present, held, middles)
-        fades[~fits] = 0
+        # An even opacity is as exact as the ladder of levels has it; a wide fade would only refine it.
+        fades[~(fits & (changing(opacities, window.present) | self._fading[track.ids]))] = 0
         mine = window.present[0]
         self._faded.append(track.ids[mine & self._fading[track.ids] & (fades[:, 0] == 0)])
         self._fading[track.ids[mine]] = fades[mine, 0] > 0

@@ -45,6 +45,12 @@ def _exp(values: F64) -> F64:
     return out
 
 
+def changing(opacities: F64, present: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which splats [n] have different ``opacities`` [frames, n] where they are ``present``, from the first frame on."""
+    varies: NDArray[np.bool_] = (present & (opacities != opacities[0])).any(axis=0)
+    return varies
+
+
 def fit_fades(
     opacities: F64, present: NDArray[np.bool_], peak: F64, middles: F64
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cags_common.motion.chunk import FADE_STEP, FADE_WIDTHS
-from cags_encoder.motion.fades import WORST_FIT, fit_fades, peaks
+from cags_encoder.motion.fades import WORST_FIT, changing, fit_fades, peaks
 
 
 def gaussian(centres: np.ndarray, widths: np.ndarray, peak: np.ndarray, frames: int) -> np.ndarray:
@@ -72,3 +72,9 @@ def test_the_peak_between_two_frames_is_found(centre: float) -> None:
 
 def test_no_peak_lies_beyond_opaque() -> None:
     assert peaks(np.array([[0.9], [0.9999], [0.9]]), np.ones((3, 1), bool))[0] < 1.0
+
+
+def test_an_even_opacity_changes_not_whatever_comes_after_its_end() -> None:
+    opacities = np.array([[0.5, 0.5, 0.5], [0.5, 0.6, 0.0], [0.5, 0.5, 0.0]])
+    present = np.array([[True, True, True], [True, True, False], [True, True, False]])
+    assert changing(opacities, present).tolist() == [False, True, False]
