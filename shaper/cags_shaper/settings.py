@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from cags_common.errors import ConfigError
 from cags_common.settings import check_settings, setting
+from cags_common.transport.hosts import is_host
 from cags_shaper.link_clock import STARTS
 
 if TYPE_CHECKING:
@@ -61,9 +62,10 @@ class ShaperSettings:
         if text is None:
             return None
         host, _, port = text.rpartition(":")
-        if not host or not port.isdecimal() or int(port) > 65535:
+        host = host.strip("[]")
+        if not is_host(host) or not port.isdecimal() or int(port) > 65535:
             raise ConfigError(f"--{flag} {text}: must be HOST:PORT, such as 127.0.0.1:8765")
-        return host.strip("[]"), int(port)
+        return host, int(port)
 
     def link(self) -> LinkSettings:
         """Effects of both links besides their traces."""

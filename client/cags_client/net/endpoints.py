@@ -15,6 +15,7 @@ from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, Manifest
 from cags_common.errors import ConfigError, NetworkError
 from cags_common.settings import check_printable
 from cags_common.transport import Transport, websocket
+from cags_common.transport.hosts import is_host
 from cags_protocol.wire.limits import MAX_MESSAGE_BYTES, MAX_TEXT_BYTES, SUBPROTOCOL
 
 INFO_TIMEOUT_S = 10.0
@@ -42,7 +43,7 @@ def of_scene(url: str, scene: str) -> str:
 def _is_stream_address(text: str) -> bool:
     try:
         parts = urlsplit(text)
-        return parts.scheme in ("ws", "wss") and bool(parts.hostname) and parts.port != 0
+        return parts.scheme in ("ws", "wss") and is_host(parts.hostname or "") and parts.port != 0
     except ValueError:  # a port beyond 65535, brackets that do not close
         return False
 

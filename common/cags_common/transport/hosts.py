@@ -5,10 +5,23 @@ from __future__ import annotations
 import ipaddress
 from urllib.parse import urlsplit
 
+_NOT_IN_HOSTS = frozenset(" /?#@[]")
+
 
 def host_port(host: str, port: int) -> str:
     """``HOST:PORT`` as addresses write it: IPv6 in brackets."""
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
+def is_host(name: str) -> bool:
+    """Whether ``name`` can be looked up: Python's own functions raise other errors than ``OSError`` for the rest, such
+    as names with an empty part or of a part with over 63 letters.
+    """
+    try:
+        name.encode("idna")
+    except UnicodeError:
+        return False
+    return bool(name) and name.isprintable() and not _NOT_IN_HOSTS & {*name}
 
 
 def same_host(origin: str, host: str | None) -> bool:

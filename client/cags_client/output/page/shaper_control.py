@@ -8,6 +8,7 @@ import json
 from typing import Any
 
 from cags_common.errors import ConfigError, NetworkError
+from cags_common.transport.hosts import is_host
 
 TIMEOUT_S = 2.0
 MAX_LINE_BYTES = 4096
@@ -19,9 +20,10 @@ class ShaperControl:
     def __init__(self, address: str) -> None:
         """``address`` is HOST:PORT. Raises :class:`ConfigError`."""
         host, _, port = address.rpartition(":")
-        if not host or not port.isdigit() or not 0 < int(port) < 65536:
+        self._host = host.strip("[]")
+        if not is_host(self._host) or not port.isdecimal() or not 0 < int(port) < 65536:
             raise ConfigError(f"shaper_control = {address!r} must be HOST:PORT")
-        self._host, self._port = host.strip("[]"), int(port)
+        self._port = int(port)
         self._line: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
         self._turn = asyncio.Lock()
 

@@ -60,7 +60,11 @@ async def test_if_none_answers_the_last_ones_reason_is_given(asked: list[str]) -
 
 
 @pytest.mark.parametrize(
-    "url", ["", "http://a/stream", "ws://a/stream,", "a:80", "ws://a:99999/x", "ws://[::1/x", "ws://a:0/x"]
+    "url",
+    [
+        *("", "http://a/stream", "ws://a/stream,", "a:80", "ws://a:99999/x", "ws://[::1/x", "ws://a:0/x"),
+        *("ws://a..b/x", "ws://a b/x", f"wss://{64 * 'a'}/x"),
+    ],
 )
 def test_what_is_no_address_is_refused(url: str) -> None:
     with pytest.raises(NetworkError, match="no stream address"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from cags_common.transport.hosts import host_allowed, host_port, is_loopback, named, same_host
+from cags_common.transport.hosts import host_allowed, host_port, is_host, is_loopback, named, same_host
 
 
 def test_addresses_of_version_6_are_in_brackets() -> None:
@@ -43,3 +43,14 @@ def test_an_origin_is_the_pages_own_only_with_the_same_host_and_port(origin: str
 )
 def test_loopback(host: str, loopback: bool) -> None:
     assert is_loopback(host) is loopback
+
+
+@pytest.mark.parametrize(
+    ("name", "valid"),
+    [
+        *((name, True) for name in ("localhost", "a.b.", "::1", "fe80::1%eth0", "127.0.0.1", "bücher.example", "_x.y")),
+        *((name, False) for name in ("", " ", "a..b", ".", "a" * 64, "a b", "a\0b", "http://a", "[::1]", "\udcff")),
+    ],
+)
+def test_what_can_be_looked_up_is_a_host(name: str, valid: bool) -> None:
+    assert is_host(name) is valid

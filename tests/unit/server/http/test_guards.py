@@ -72,6 +72,7 @@ def test_a_token_with_control_characters_is_refused_and_not_repeated(token: str)
     ("changes", "message"),
     [
         ({"host": ""}, r"host = '' is no address; give 127\.0\.0\.1"),
+        ({"host": "a..b"}, "host = 'a..b' is no address"),
         ({"origins": "foo bar"}, "origins: 'foo bar' is no origin; give ones such as https://viewer.example"),
         ({"origins": "https://a.example, *"}, r"origins: '\*' is no origin"),
         ({"origins": "https://a.example/page"}, "origins: 'https://a.example/page' is no origin"),

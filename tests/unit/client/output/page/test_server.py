@@ -437,8 +437,14 @@ async def test_the_shaper_is_asked_over_its_control_port(client: aiohttp.ClientS
 async def test_a_dead_shaper_is_named() -> None:
     with pytest.raises(NetworkError, match="shaper control 127"):
         await ShaperControl("127.0.0.1:1").ask()
-    with pytest.raises(ConfigError, match="HOST:PORT"):
-        ShaperControl("nowhere")
+    for address in ("nowhere", "a..b:9001"):
+        with pytest.raises(ConfigError, match="HOST:PORT"):
+            ShaperControl(address)
+
+
+def test_a_page_at_no_address_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"view_host = 'a\.\.b' is no address"):
+        ViewSettings(view_host="a..b")
 
 
 async def test_a_page_that_takes_nothing_does_not_keep_pictures_from_the_others(
