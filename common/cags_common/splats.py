@@ -35,6 +35,8 @@ MAX_COEFFICIENT = 1e15
 
 _BOUNDS = {"means": MAX_COORDINATE, "sh0": MAX_COEFFICIENT, "sh_rest": MAX_COEFFICIENT}
 
+_REPAIR = "repair the file, or leave such splats out by the scene's option repair=drop"
+
 Ids: TypeAlias = NDArray[np.int32]
 
 
@@ -86,21 +88,13 @@ class Splats:
         logits = out["logit_opacities"]
         out["logit_opacities"] = np.where(np.isinf(logits), np.sign(logits) * np.float32(20.0), logits)
         for name, array in out.items():
-            bad = ~np.isfinite(array.reshape(n, -1)).all(axis=1)
+            bad = ~np.isfinite(array)
             if bad.any():
-                index = int(np.argmax(bad))
-                found = f"{source}: {name}[{index}] = {array[index].tolist()} is not finite"
-                raise SceneError(
-                    f"{found}; repair the file, or leave such splats out by the scene's option repair=drop"
-                )
+                raise SceneError(f"{source}: {_first(name, array, bad)} is not finite; {_REPAIR}")
         for name, bound in _BOUNDS.items():
-            far = beyond_bounds(name, out[name])
-            if far.any():
-                index = int(np.argmax(far))
-                raise SceneError(
-                    f"{source}: {name}[{index}] = {out[name][index].tolist()} lies beyond {bound:g}; "
-                    "repair the file, or leave such splats out by the scene's option repair=drop"
-                )
+            if beyond_bounds(name, out[name]).any():
+                far = np.abs(out[name]) >= np.float32(bound)
+                raise SceneError(f"{source}: {_first(name, out[name], far)} lies beyond {bound:g}; {_REPAIR}")
         out["quats"] = _canonical_quats(out["quats"], source)
         return Splats(**out)
 
@@ -153,6 +147,12 @@ def check_shapes(arrays: Mapping[str, F32], source: str) -> None:
         raise SceneError(f"{source}: sh_rest has shape {rest.shape}, expected ({n}, 0|3|8|15, 3)")
 
 
+def _first(name: str, values: F32, bad: NDArray[np.bool_]) -> str:
+    """The first value that is ``bad``, by its place: all that a splat has of an attribute may be 45 numbers."""
+    at = tuple(np.argwhere(bad)[0])
+    return f"{name}{''.join(f'[{index}]' for index in at)} = {values[at]:g}"
+
+
 def beyond_bounds(column: str, values: F32) -> NDArray[np.bool_]:
     """Which rows of ``values`` [n, ...] of a ``column`` of splats have a magnitude that is too large; not those with
     NaN.
@@ -168,9 +168,6 @@ def _canonical_quats(quats: F32, source: str) -> F32:
     norms = np.linalg.norm(wide, axis=1, keepdims=True)
     zero = norms[:, 0] < 1e-12
     if zero.any():
-        raise SceneError(
-            f"{source}: quats[{int(np.argmax(zero))}] is zero and has no direction; repair the file, or leave such "
-            "splats out by the scene's option repair=drop"
-        )
+        raise SceneError(f"{source}: quats[{int(np.argmax(zero))}] is zero and has no direction; {_REPAIR}")
     sign = np.where(wide[:, :1] < 0, -1.0, 1.0)
     return np.ascontiguousarray(wide * (sign / norms), dtype=np.float32)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.errors import SceneError
-from cags_encoder.formats.sog_files import MAX_ENTRIES, ZIP_FAULTS
+from cags_encoder.formats.sog_files import MAX_ENTRIES, ZIP_FAULTS, in_words
 
 MAX_INFLATED_BYTES = 1 << 30
 """Limit for all deflated arrays of an archive together. Memory-mapped arrays may be of any size."""
@@ -55,7 +55,7 @@ class NpzArrays:
         except FileNotFoundError as error:
             raise SceneError(f"{path}: cannot be read ({error.strerror}); give an existing file") from error
         except ZIP_FAULTS as error:
-            raise SceneError(f"{path}: is not an .npz archive or is damaged ({error})") from error
+            raise SceneError(f"{path}: is not an .npz archive or is damaged ({in_words(error)})") from error
         if len(entries) > MAX_ENTRIES:
             raise SceneError(f"{path}: holds over {MAX_ENTRIES} arrays; this is not the params.npz of a dynamic scene")
         self._inflated_bytes = 0
@@ -77,8 +77,7 @@ class NpzArrays:
                 return self._mapped(name, entry, width)
             return self._inflated(name, entry, width)
         except ZIP_FAULTS as error:
-            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise SceneError(f"{self._path}: the array {name!r} is damaged ({reason})") from error
+            raise SceneError(f"{self._path}: the array {name!r} is damaged ({in_words(error)})") from error
 
     def _mapped(self, name: str, entry: zipfile.ZipInfo, width: int | None) -> NDArray[np.floating[Any]]:
         with self._path.open("rb") as file:

@@ -50,6 +50,15 @@ _IMAGE_FAULTS = (
 )
 
 
+MAX_WORDS = 120
+
+
+def in_words(error: Exception) -> str:
+    """What a library says of a damaged file, on one line: some quote kilobytes of it, some say nothing."""
+    said = next(iter(str(error).splitlines()), type(error).__name__)
+    return said if len(said) <= MAX_WORDS else f"{said[:MAX_WORDS]}…"
+
+
 class _Store(Protocol):
     def read(self, name: str, max_bytes: int) -> bytes: ...
 
@@ -74,7 +83,7 @@ class ZipStore:
             self._archive = zipfile.ZipFile(file)
         except ZIP_FAULTS as error:
             raise SceneError(
-                f"{source}: is not a zip archive or is damaged ({error}); check the file's type"
+                f"{source}: is not a zip archive or is damaged ({in_words(error)}); check the file's type"
             ) from error
         self._entries = {info.filename: info for info in self._archive.infolist()[: MAX_ENTRIES + 1]}
         if len(self._entries) > MAX_ENTRIES:
@@ -89,7 +98,7 @@ class ZipStore:
             with self._archive.open(info) as entry:
                 data = entry.read(max_bytes + 1)
         except ZIP_FAULTS as error:
-            raise SceneError(f"{self._source}: {name} is damaged ({error}); fetch the file again") from error
+            raise SceneError(f"{self._source}: {name} is damaged ({in_words(error)}); fetch the file again") from error
         if len(data) > max_bytes:
             raise SceneError(f"{self._source}: {name} is over {max_bytes} bytes long")
         return data
@@ -146,6 +155,5 @@ class SogFiles:
                     raise SceneError(f"{self.source}: {name} is {width}x{height} px, too large for {max_pixels} values")
                 pixels = np.asarray(image.convert("RGBA")) if decode else np.zeros((0, 0, 4), np.uint8)
         except (*_IMAGE_FAULTS, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
-            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise SceneError(f"{self.source}: {name} is not a readable image ({reason})") from error
+            raise SceneError(f"{self.source}: {name} is not a readable image ({in_words(error)})") from error
         return width, height, pixels

@@ -74,3 +74,14 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "params.npz").write_bytes(b"not a zip")
     with pytest.raises(SceneError, match=r"is not an \.npz archive"):
         open_scene(f"{tmp_path}/params.npz")
+
+
+def test_what_is_said_of_a_damaged_file_does_not_quote_it(tmp_path: Path) -> None:
+    path = tmp_path / "params.npz"
+    np.savez_compressed(path, **params(count=2000))
+    data = bytearray(path.read_bytes())
+    data[26:28] = b"\xff\x03"  # length of the first entry's name: zipfile quotes all of it
+    path.write_bytes(data)
+    with pytest.raises(SceneError, match="means3D' is damaged") as refused:
+        open_scene(str(path))
+    assert len(str(refused.value)) < len(str(path)) + 200
