@@ -23,7 +23,24 @@ AGAIN_S = 0.01
 
 
 class CommandParser(argparse.ArgumentParser):
-    """Refuses wrong use in one line, not in a screenful of flags."""
+    """Refuses wrong use in one line, not in a screenful of flags.
+
+    So is an empty name, such as an unset variable of a shell gives: ``--record ""`` would record nothing.
+    """
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """See :meth:`argparse.ArgumentParser.parse_known_args`."""
+        found, others = super().parse_known_args(args, namespace)
+        for action in self._actions:  # those of settings have a type, and say themselves what may be empty
+            if (
+                action.option_strings
+                and action.type is None
+                and getattr(found, action.dest, None) == "" != action.default
+            ):
+                self.error(f"argument {'/'.join(action.option_strings)}: is empty; give a name, or leave it out")
+        return found, others
 
     def error(self, message: str) -> NoReturn:
         """See :meth:`argparse.ArgumentParser.error`."""

@@ -59,6 +59,8 @@ def check_settings(settings: DataclassInstance) -> None:
         kind, optional = _plain_type(hints[f.name])
         if value is None and optional:
             continue
+        if value == "" and optional:
+            raise ConfigError(f"{f.name} is empty; give a name, or leave it out")
         _check_value(f, kind, value)
 
 
@@ -157,10 +159,10 @@ def _names(cls: type[Any]) -> set[str]:
 
 def _read_toml(path: Path, names: set[str], section: str | None) -> dict[str, Any]:
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        table = tomllib.loads(path.read_text(encoding="utf-8-sig"))  # Windows puts a mark before it
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror}); give an existing TOML file") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: is not TOML ({error})") from error
     parts = {name: table.pop(name) for name in SECTIONS if isinstance(table.get(name), dict)}
     table.update(parts.get(section or "", {}))

@@ -15,10 +15,10 @@ DIRECTIONS = "down", "up"
 
 def plot_log(path: Path) -> Path:
     """Draw ``path`` into a PNG beside it, and return that. Raises :class:`TraceError` for anything else."""
+    rows = read_log(path)
     out = path.with_suffix(".png")
     if out == path:
         raise TraceError(f"{path}: its picture would take its place; give the log another name")
-    rows = read_log(path)
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -48,6 +48,15 @@ def test_what_is_misspelt_is_told_without_a_server(
     assert said.count("\n") == 1
 
 
+@pytest.mark.parametrize("flag", ["--record", "--json", "--truth", "--stages", "--poses", "--config"])
+def test_an_empty_name_is_refused_where_it_would_do_nothing(capsys: pytest.CaptureFixture[str], flag: str) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        cli.main([*NOWHERE, flag, ""])
+    said = capsys.readouterr().err
+    assert said.startswith(f"cags-client: argument {flag}")
+    assert "is empty; give a name, or leave it out" in said
+
+
 def test_a_step_of_pictures_without_their_folder_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main([*NOWHERE, "--stages-every", "5"]) == 2
     assert "--stages-every is an option of --stages; add --stages DIR or leave it out" in capsys.readouterr().err

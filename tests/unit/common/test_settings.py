@@ -63,6 +63,7 @@ def test_unknown_keys_are_refused_by_name(tmp_path):
         ("rate = inf", "rate = inf must be finite"),
         ('mode = "slow"', "mode = 'slow' must be one of fast, exact"),
         ("port = = 1", "is not TOML"),
+        ("port = " + 5000 * "[", "is not TOML"),
     ],
 )
 def test_bad_values_name_the_field_and_the_value(tmp_path, text, message):
@@ -70,6 +71,11 @@ def test_bad_values_name_the_field_and_the_value(tmp_path, text, message):
     config.write_text(text + "\n")
     with pytest.raises(ConfigError, match=message):
         parse("--config", str(config))
+
+
+def test_a_file_may_begin_with_the_mark_that_windows_writes(tmp_path):
+    (tmp_path / "c.toml").write_text("port = 1\n", encoding="utf-8-sig")
+    assert parse("--config", str(tmp_path / "c.toml")).port == 1
 
 
 def test_a_missing_file_is_named(tmp_path):

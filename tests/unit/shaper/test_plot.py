@@ -102,3 +102,9 @@ def test_a_missing_log_is_named(tmp_path):
 
     with pytest.raises(TraceError, match="nowhere"):
         read_log(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("path", ["/", "."])
+def test_a_folder_is_no_log(capsys, path):
+    assert main(["--plot", path]) == 1
+    assert f"{path}: cannot be read" in capsys.readouterr().err
