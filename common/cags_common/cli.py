@@ -10,6 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import NoReturn
 
 from cags_common.errors import REFUSALS, CagsError, ConfigError
@@ -86,6 +87,7 @@ def run_command(prog: str, body: Callable[[Sequence[str]], int | None], argv: Se
     interrupt does: children are stopped and files in the making removed.
     """
     try:
+        _open_closed_streams()
         _print_whatever_the_locale()
         with _ending_in_order(), _no_signal_lost():
             code = body(sys.argv[1:] if argv is None else argv) or EXIT_OK
@@ -115,6 +117,16 @@ def _failed(prog: str, why: object, code: int) -> int:
         return code
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left cannot be written at the end either
     return code
+
+
+def _open_closed_streams() -> None:
+    """Streams that were closed before the start (``>&-``, some daemons) lead nowhere.
+
+    Python has None for them, and the next file or socket to be opened would take their number, and what is printed.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):  # in order: each takes the lowest free number
+        if getattr(sys, name) is None:
+            setattr(sys, name, Path(os.devnull).open(mode))  # noqa: SIM115  # for as long as the command runs
 
 
 def _print_whatever_the_locale() -> None:

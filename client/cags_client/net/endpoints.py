@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from urllib.parse import urlencode, urlsplit
 
 from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, Manifest
-from cags_common.errors import ConfigError, NetworkError
+from cags_common.errors import BundleError, ConfigError, NetworkError
 from cags_common.settings import check_printable
 from cags_common.transport import Transport, websocket
 from cags_common.transport.hosts import is_host
@@ -164,7 +164,12 @@ def _info(url: str, token: str, tls: ssl.SSLContext | None) -> Manifest:
         raise NetworkError(f"{url}: {reason}")
     if response.status != 200:
         raise NetworkError(f"{url}: the server answers {response.status} {response.reason} for its bundle")
-    return Manifest.from_json(data)
+    try:
+        return Manifest.from_json(data)
+    except BundleError as error:
+        raise BundleError(
+            f"{url}: what answers is no cags-server of this version ({error}); check the address"
+        ) from error
 
 
 @contextmanager

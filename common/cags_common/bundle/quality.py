@@ -61,7 +61,8 @@ class LodQuality:
                 tuple(LevelQuality(int(row["lod"]), *_numbers(row)) for row in table["ladder"]),
             )
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-            raise BundleError(f"{QUALITY_NAME}: is damaged ({error!r}); encode the bundle again") from error
+            why = f"{type(error).__name__}: {error}"  # repr quotes the whole file where it is not UTF-8
+            raise BundleError(f"{QUALITY_NAME}: is damaged ({why}); encode the bundle again") from error
 
 
 def _numbers(row: dict[str, Any]) -> tuple[int, float, float]:

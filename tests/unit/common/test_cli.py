@@ -115,6 +115,14 @@ def test_a_reader_that_goes_away_is_no_error():
     assert running.returncode == 0
 
 
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_streams_that_were_closed_before_the_start_lead_nowhere(closed):
+    body = "import os; print(1); print(2, file=sys.stderr)\nkinds = [os.fstat(number) for number in range(3)]"
+    text = SCRIPT.format(body=body.replace("\n", "\n    "), hangup="SIG_DFL")
+    ended = subprocess.run(["sh", "-c", f'exec "$0" -c "$1" {closed}', sys.executable, text], timeout=60, check=False)
+    assert ended.returncode == 0
+
+
 @pytest.mark.skipif(not FULL.exists(), reason="needs /dev/full")
 def test_a_full_disk_is_told_even_where_it_shows_at_the_end():
     with FULL.open("w") as full, start("print('a few words')", stdout=full) as running:

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from cags_client.net import endpoints
-from cags_common.errors import ConfigError, NetworkError
+from cags_common.errors import BundleError, ConfigError, NetworkError
 from cags_protocol.wire.limits import MAX_TEXT_BYTES
 
 A, B = "ws://a:1/stream", "ws://b:2/stream"
@@ -151,4 +151,10 @@ def test_a_shaper_without_a_server_hangs_up_and_what_to_do_is_told() -> None:
 def test_a_refusal_of_lists_in_lists_in_lists_is_a_refusal() -> None:
     head = b"HTTP/1.1 404 Not Found\r\nContent-Length: 90000\r\n\r\n" + b"[" * 90_000
     with answering(head, b"") as port, pytest.raises(NetworkError, match="404"):
+        endpoints.fetch_info(f"ws://127.0.0.1:{port}/stream")
+
+
+def test_a_web_page_in_place_of_a_manifest_is_told_with_its_address() -> None:
+    head = b"HTTP/1.1 200 OK\r\nContent-Length: 6\r\n\r\n<html>"
+    with answering(head, b"") as port, pytest.raises(BundleError, match=f"{port}/stream: .* is not JSON .*; check the"):
         endpoints.fetch_info(f"ws://127.0.0.1:{port}/stream")

@@ -18,8 +18,17 @@ def test_it_comes_back_and_equal_tables_give_equal_bytes() -> None:
 
 @pytest.mark.parametrize(
     "data",
-    [b"", b"[]", b"{}", b"\xff", b'{"layers":[{}],"ladder":[]}', TABLE.to_json()[:-1], b'{"layers":1,"ladder":[]}'],
+    [
+        b"",
+        b"[]",
+        b"{}",
+        b"\xff" * 5000,
+        b'{"layers":[{}],"ladder":[]}',
+        TABLE.to_json()[:-1],
+        b'{"layers":1,"ladder":[]}',
+    ],
 )
 def test_damage_is_a_bundle_error(data: bytes) -> None:
-    with pytest.raises(BundleError, match="encode the bundle again"):
+    with pytest.raises(BundleError, match="encode the bundle again") as refused:
         LodQuality.from_json(data)
+    assert len(str(refused.value)) < 300, "it does not quote the file"
