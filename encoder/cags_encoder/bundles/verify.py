@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 
 import numpy as np
@@ -35,7 +36,22 @@ def verify(reader: BundleReader, url: str, tell: Callable[[int, int], None]) -> 
         raise BundleError(f"{url}: {error}") from error
     if quality is not None and len(quality.ladder) != manifest.lods:
         raise BundleError(f"{url}: quality.json has {len(quality.ladder)} levels, the manifest {manifest.lods}")
+    _verify_thumbnail(reader, url)
     return payloads
+
+
+def _verify_thumbnail(reader: BundleReader, url: str) -> None:
+    """Decode what galleries show, where there is any. Raises :class:`BundleError`."""
+    from PIL import Image
+
+    data = reader.thumbnail()
+    if data is None:
+        return
+    try:
+        with Image.open(io.BytesIO(data), formats=("JPEG",)) as image:
+            image.load()
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise BundleError(f"{url}: thumbnail.jpg: is damaged; store one anew by cags-encode --set-view") from error
 
 
 class _Frames:

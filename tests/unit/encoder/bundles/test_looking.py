@@ -101,6 +101,7 @@ def test_a_whole_bundle_verifies(bundle: Path, capsys: pytest.CaptureFixture[str
         ("gof_0000.bin", -20, "gof_0000.bin: its index is damaged"),
         ("source/gof_0000.bin", 100, "source frame 0: CRC-32"),
         ("quality.json", 5, "quality.json: is damaged"),
+        ("thumbnail.jpg", 0, "thumbnail.jpg: is damaged"),
     ],
 )
 def test_a_flipped_bit_is_found_and_its_place_named(
