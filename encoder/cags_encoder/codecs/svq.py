@@ -40,11 +40,6 @@ SPARSE = 8
 SMALL_SPLATS = 0.25
 """Quantile of a tile's radii that determines its position step."""
 
-SMALLEST_SPLATS, MOST_SPREAD = 0.02, 8.0
-"""Quantile of a tile's radii, and how many times larger the one above may count at most. The curve leads from a far,
-large background to small splats in between: where most of a tile is background, the others would be moved by metres.
-"""
-
 MIN_POSITION_BITS = 4
 """Of LoD 0."""
 
@@ -203,15 +198,9 @@ class SvqCodec:
         if self.position_bits is not None:
             return PositionGrid.over(coded.means, self.position_bits)
         radii = COARSE_STEP if coded.refined else self.position_step
-        step = radii * _small_radius(coded.radii) if len(coded.radii) else 1.0
+        step = radii * float(np.quantile(coded.radii, SMALL_SPLATS)) if len(coded.radii) else 1.0
         extent = float(np.ptp(coded.means.astype(np.float64), axis=0).max(initial=0.0)) if len(coded.means) else 0.0
         bits = math.ceil(math.log2(extent / max(step, 1e-30) + 1))
         bits = min(max(bits, MIN_POSITION_BITS), MAX_POSITION_BITS)
         layers = 0 if coded.refined else min(position_layers(self.lod_order), bits - MIN_POSITION_BITS)
         return PositionGrid.over(coded.means, bits, layers)
-
-
-def _small_radius(radii: F32) -> float:
-    """The size of the smaller ones of a tile's splats, whose ``radii`` [n], n >= 1, these are."""
-    smallest, small = np.quantile(radii, (SMALLEST_SPLATS, SMALL_SPLATS))
-    return float(min(small, MOST_SPREAD * smallest))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cags_encoder.codecs.svq import MOST_SPREAD, SMALL_SPLATS, SvqCodec, SvqSplats
+from cags_encoder.codecs.svq import SMALL_SPLATS, SvqCodec, SvqSplats
 from cags_encoder.quantiser.training import Quantiser
 
 STEP = 1 / 8
@@ -23,9 +23,8 @@ def test_the_smaller_splats_of_a_tile_set_its_grid() -> None:
     assert STEP / 2 * np.quantile(radii, SMALL_SPLATS) <= grid.step <= STEP * np.quantile(radii, SMALL_SPLATS)
 
 
-def test_few_small_splats_among_a_far_background_keep_their_place() -> None:
+def test_splats_without_a_size_do_not_refine_the_grid_of_the_others() -> None:
+    """Captures have needles of no width: a grid as fine as these took two thirds more bytes for the lowest level."""
     rng = np.random.default_rng(0)
-    background, near = rng.lognormal(1, 0.3, 1800), rng.lognormal(-4, 0.3, 200)
-    mixed = tile(np.r_[background, near], 500.0)
-    off = np.abs(codec().means_at(mixed) - mixed.means).max(axis=1)
-    assert np.mean(off[1800:] / near) < STEP * MOST_SPREAD / 2
+    radii = np.r_[rng.lognormal(-4, 1, 1800), np.full(200, 1e-9)]
+    assert codec().grid(tile(radii, 1.0)).step > STEP / 2 * np.quantile(radii[:1800], 0.1)
