@@ -47,7 +47,7 @@ TESTED_THROUGH = {
     "cags_bench.motion": "tests/unit/bench/motion/test_command.py",
     "cags_bench.network": "tests/unit/bench/network/test_network_bench.py",
     "cags_bench.predict": "tests/unit/bench/predict/test_command.py",
-    "cags_bench.programs": "tests/unit/bench/test_demo_bench.py",
+    "cags_bench.programs": "tests/unit/bench/demo/test_demo_bench.py",
     "cags_bench.raster": "tests/unit/bench/test_raster.py",
     "cags_bench.references": "tests/unit/bench/test_references_bench.py",
     "cags_bench.reproduce": "tests/unit/bench/reproduce/test_reproduce.py",
