@@ -64,7 +64,7 @@ class StreamTimes:
     frames_s: F64
     """[F] times of the frames."""
     edges_s: F64
-    """[W + 1] from when to when the windows are."""
+    """[W + 1] boundaries of the windows."""
 
     @staticmethod
     def of(frames: Sequence[JsonObject], waited_s: float) -> StreamTimes:
@@ -90,7 +90,7 @@ class StreamTimes:
         return edges_s, np.array([link.mean_bps(*window) / 1e6 for window in pairwise(edges_us)])
 
 
-def plot_stream(frames: Sequence[JsonObject], path: Path, *, waited_s: float = 0.0, link: Trace | None) -> None:
+def plot_stream(frames: Sequence[JsonObject], path: Path, *, waited_s: float, link: Trace) -> None:
     """Plot quality, detail and rate of ``frames`` over time, beside the capacity of the ``link``.
 
     The link's time begins with the connection, ``waited_s`` before the first frame. Without frames nothing is drawn.
@@ -116,9 +116,8 @@ def plot_stream(frames: Sequence[JsonObject], path: Path, *, waited_s: float = 0
     detail.set_ylim(bottom=0)
     for key, colour in (("bytes_tiles", "tab:blue"), ("bytes_reference", "tab:purple")):
         rate.stairs(times.rates_mbps(series(frames, key)), times.edges_s, color=colour, label=key.split("_")[1])
-    if link is not None:
-        edges_s, mbps = times.link_mbps(link)
-        rate.stairs(mbps, edges_s, color="0.6", label="link", baseline=None)
+    edges_s, mbps = times.link_mbps(link)
+    rate.stairs(mbps, edges_s, color="0.6", label="link", baseline=None)
     rate.set_xlim(*times.edges_s[[0, -1]])
     rate.set_ylim(bottom=0)
     rate.set_ylabel("Mbps")

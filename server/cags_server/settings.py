@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from cags_common.errors import ConfigError
 from cags_common.settings import check_printable, check_settings, setting
-from cags_common.transport.hosts import is_host, is_loopback, named
+from cags_common.transport.hosts import check_listening, is_loopback, named
 
 CLIENT, PLAIN = "client", "plain"
 """Footprints of references (``reference_footprint``)."""
@@ -203,10 +203,7 @@ class ServeSettings(ServerSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not is_host(self.host):
-            raise ConfigError(
-                f"host = {self.host!r} is no address; give 127.0.0.1 for this machine alone, or 0.0.0.0 for all"
-            )
+        check_listening("host", self.host)
         check_origins(self.origins)
         check_hosts(self.hosts)
         check_token(self.token)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import ipaddress
 from urllib.parse import urlsplit
 
+from cags_common.errors import ConfigError
+
 _NOT_IN_HOSTS = frozenset(" /?#@[]")
 
 
@@ -22,6 +24,12 @@ def is_host(name: str) -> bool:
     except UnicodeError:
         return False
     return bool(name) and name.isprintable() and not _NOT_IN_HOSTS & {*name}
+
+
+def check_listening(name: str, host: str) -> None:
+    """Check the setting ``name``, a ``host`` to listen on. Raises :class:`ConfigError`."""
+    if not is_host(host):
+        raise ConfigError(f"{name} = {host!r} is no address; give 127.0.0.1 for this machine alone, or 0.0.0.0 for all")
 
 
 def same_host(origin: str, host: str | None) -> bool:

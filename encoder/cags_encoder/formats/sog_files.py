@@ -50,13 +50,14 @@ _IMAGE_FAULTS = (
 )
 
 
-MAX_WORDS = 120
+MAX_QUOTED_CHARS = 120
+"""Longest quotation of what a library says of a damaged file."""
 
 
 def in_words(error: Exception) -> str:
     """What a library says of a damaged file, on one line: some quote kilobytes of it, some say nothing."""
     said = next(iter(str(error).splitlines()), type(error).__name__)
-    return said if len(said) <= MAX_WORDS else f"{said[:MAX_WORDS]}…"
+    return said if len(said) <= MAX_QUOTED_CHARS else f"{said[:MAX_QUOTED_CHARS]}…"
 
 
 class _Store(Protocol):

@@ -91,7 +91,7 @@ class _Track:
     ids: Ids  # [n]
     anchors: F32  # [n, 3] decoded positions
     coarse: F32  # [n, 3] those of level 0
-    means: F32  # [n, 3] and
+    means: F32  # [n, 3] of the source, when the looks were sent
     quats: F32  # [n, 4] of the source, when the looks were sent
     steps: Steps
     round: NDArray[np.bool_]
@@ -489,7 +489,7 @@ class MovingGroups:
         opacities = window.opacities.astype(np.float64)
         middles = (window.present.sum(axis=0) - 1) / 2
         fades, fits = fit_fades(opacities, window.present, held, middles)
-        # An even opacity is as exact as the ladder of levels has it; a wide fade would only refine it.
+        # A constant opacity is as exact as the ladder of levels has it; a wide fade would only refine it.
         fades[~(fits & (changing(opacities, window.present) | self._fading[track.ids]))] = 0
         mine = window.present[0]
         self._faded.append(track.ids[mine & self._fading[track.ids] & (fades[:, 0] == 0)])

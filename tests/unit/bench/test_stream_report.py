@@ -52,5 +52,5 @@ def test_the_link_is_drawn_from_the_connection_on():
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_short_plays_are_drawn(tmp_path, count):
     path = tmp_path / "timeline.png"
-    plot_stream(lines(count), path, waited_s=0.5, link=None)
+    plot_stream(lines(count), path, waited_s=0.5, link=open_trace("generated:lte-driving"))
     assert path.exists() == (count > 0)

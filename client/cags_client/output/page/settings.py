@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from cags_common.errors import ConfigError
 from cags_common.settings import check_printable, check_settings, setting
-from cags_common.transport.hosts import is_host
+from cags_common.transport.hosts import check_listening
 
 
 @dataclass(frozen=True)
@@ -35,9 +34,5 @@ class ViewSettings:
 
     def __post_init__(self) -> None:
         check_settings(self)
-        if not is_host(self.view_host):
-            raise ConfigError(
-                f"view_host = {self.view_host!r} is no address; give 127.0.0.1 for this machine alone, or 0.0.0.0 for "
-                "all"
-            )
+        check_listening("view_host", self.view_host)
         check_printable("view_token", self.view_token)
