@@ -76,6 +76,12 @@ class StreamTimes:
         began = [-waited_s] if waited_s > 0 else []
         return StreamTimes(frames_s, np.concatenate([began, np.linspace(0.0, end_s, windows + 1)]))
 
+    def spans(self, held: Sequence[bool]) -> list[tuple[float, float]]:
+        """Begin and end in s of each run of frames of which ``held`` [F] is true: up to the next frame that is not."""
+        ends_s = np.append(self.frames_s[1:], self.edges_s[-1])
+        changes = np.flatnonzero(np.diff(np.concatenate([[False], held, [False]])))
+        return [(float(self.frames_s[a]), float(ends_s[b - 1])) for a, b in changes.reshape(-1, 2)]
+
     def rates_mbps(self, frame_bytes: F64) -> F64:
         """Mean rates [W] of what each frame [F] found to have arrived since the one before; NaN counts nothing."""
         arrived_s = self.frames_s - np.diff(self.frames_s, prepend=self.edges_s[0]) / 2
@@ -109,7 +115,9 @@ def plot_stream(frames: Sequence[JsonObject], path: Path, *, waited_s: float, li
         if np.isfinite(values).any():  # only some restorers align a picture
             quality.plot(times.frames_s, values, color=colour, label=label)
     quality.set_ylabel("PSNR [dB]")
-    if quality.lines:
+    for number, span in enumerate(times.spans([frame["half"] for frame in frames])):
+        quality.axvspan(*span, color="tab:orange", alpha=0.15, label=None if number else "at half resolution")
+    if quality.get_legend_handles_labels()[0]:
         quality.legend(loc="lower right")
     detail.plot(times.frames_s, series(frames, "lod_mean"), color="tab:blue")
     detail.set_ylabel("mean LoD shown")

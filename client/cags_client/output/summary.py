@@ -35,6 +35,8 @@ def summary_rows(summary: Mapping[str, Any], clip_frames: int) -> list[Row]:
 
 def _shown(summary: Mapping[str, Any], clip_frames: int) -> str:
     text = f"{summary['frames']} of {clip_frames} frames"
+    if summary["frames_half"]:
+        text += f", {summary['frames_half']} of them at half resolution"
     if summary.get("frames_interpolated"):
         text += f"; {summary['frames_interpolated']} pictures between them"
     if summary["frames_dropped"]:

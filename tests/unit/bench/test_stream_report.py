@@ -15,7 +15,13 @@ def lines(count: int, *first_bytes: int, each: int = 1000) -> list[dict]:
     sizes = [*first_bytes, *[each] * (count - len(first_bytes))]
     begin_us = 7_000_000
     return [
-        {"time_us": begin_us + round(i * 1e6 / FPS), "bytes_tiles": size, "bytes_reference": 0, "lod_mean": 1.0}
+        {
+            "time_us": begin_us + round(i * 1e6 / FPS),
+            "bytes_tiles": size,
+            "bytes_reference": 0,
+            "lod_mean": 1.0,
+            "half": False,
+        }
         for i, size in enumerate(sizes)
     ]
 
@@ -47,6 +53,14 @@ def test_the_link_is_drawn_from_the_connection_on():
     edges_s, mbps = StreamTimes.of(lines(60), 1.5).link_mbps(link)
     assert edges_s[0] == -1.5
     assert mbps[0] == pytest.approx(link.mean_bps(0, round(1e6 * (edges_s[1] - edges_s[0]))) / 1e6)
+
+
+def test_frames_at_half_resolution_are_shaded_up_to_the_next_whole_one():
+    times = StreamTimes.of(lines(6), 0.0)
+    at = times.frames_s.tolist()
+    assert times.spans([False, True, True, False, True, True]) == [(at[1], at[3]), (at[4], at[5])]
+    assert times.spans([False] * 6) == []
+    assert times.spans([True] * 6) == [(at[0], at[5])]
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])

@@ -67,3 +67,16 @@ def test_the_bytes_of_a_summary_make_up_its_goodput() -> None:
     last = summary([], stats)
     received = last["bytes_tiles"] + last["bytes_reference"] + last["bytes_other"]
     assert received * 8 / 2 / 1e6 == pytest.approx(last["goodput_mbps"])
+
+
+def test_frames_at_half_resolution_are_named_and_counted(reader: BundleReader) -> None:
+    """Quality fell by 11 dB in mid-play, and no figure said why."""
+    stage, pose = Stage(reader), walk(reader)
+    stage.send(0)
+    camera = stage.pipe.camera(pose)
+    records = [
+        frame_stats(stage.pipe.present(0, camera, half=half), Present(0, 0, pose, stage.pipe, Traffic()), 0)
+        for half in (False, True, True)
+    ]
+    assert [record["half"] for record in records] == [False, True, True]
+    assert summary(records, PlayStats(frames=3))["frames_half"] == 2

@@ -9,6 +9,7 @@ PLAIN: dict[str, Any] = {
     "frames": 38,
     "frames_missed": 0,
     "frames_dropped": 0,
+    "frames_half": 0,
     "decode_errors": 0,
     "keyframe_requests": 0,
     "reconnects": 0,
@@ -48,6 +49,10 @@ def test_what_went_wrong_is_told_only_where_it_did() -> None:
     assert found["shown"] == "38 of 90 frames; 52 skipped, the next one being due; 2 without all of their data"
     assert found["away"] == "1.5 s without a server; connection taken up again 1 time"
     assert found["damaged"] == "payloads that did not decode: 3; key pictures asked for: 2"
+
+
+def test_lower_resolution_is_told_where_there_was_any() -> None:
+    assert words(frames_half=20)["shown"] == "38 of 90 frames, 20 of them at half resolution"
 
 
 def test_what_a_play_was_short_of_is_told_where_it_was() -> None:
