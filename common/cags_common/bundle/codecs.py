@@ -110,7 +110,7 @@ class MotionTile:
         self._waiting: dict[int, bytes] = {}
 
     def __len__(self) -> int:
-        return self._decoder.chunk.splats
+        return self._decoder.splats
 
     @property
     def looks(self) -> tuple[int, int]:

@@ -250,8 +250,17 @@ class ChunkDecoder:
         self._native, self._movers = native, _read_movers(head, who)
         self._trees = _Trees.of(head, anchors, self._movers, native=native)
         reader = SymbolReader(escapes, symbols, native=native)
-        self.chunk, self._read, self._count = self._opened(head, reader), 1, max(1, *head.levels)
+        self._blank = self._opened(head, reader)
+        self._chunk: Chunk | None = None
+        self._read, self._count = 1, max(1, *head.levels)
         self._drop_when_whole()
+
+    @property
+    def chunk(self) -> Chunk:
+        """The motion, at the levels there are. Made when it is first asked for: levels often come together."""
+        if self._chunk is None:
+            self._chunk = self._with_trees(self._blank)
+        return self._chunk
 
     @property
     def levels(self) -> int:
@@ -261,7 +270,12 @@ class ChunkDecoder:
     @property
     def looks(self) -> tuple[int, int]:
         """Media frame and tile of the looks that move."""
-        return self.chunk.looks
+        return self._blank.looks
+
+    @property
+    def splats(self) -> int:
+        """Number of splats of the looks."""
+        return self._blank.splats
 
     @property
     def nbytes(self) -> int:
@@ -282,16 +296,17 @@ class ChunkDecoder:
         trees = self._trees.copy()
         _read(reader, trees, self._read)
         reader.finish()
-        self._trees = trees
-        self.chunk = self._with_trees(self.chunk)
+        self._trees, self._chunk = trees, None
         self._read += 1
         self._drop_when_whole()
 
     def _drop_when_whole(self) -> None:
         if self._read >= self._count:
+            self._chunk = self.chunk
             self._trees = _Trees(self._trees.levels, (None, None))
 
     def _opened(self, head: _Head, reader: SymbolReader) -> Chunk:
+        """Read level 0; what is told of positions and rotations is in the trees."""
         n = head.splats
         lives = reader.plain(life_tables(n)) if head.has(LIVES) else None
         if lives is not None and int(lives.max(initial=0)) > head.span + 1:
@@ -300,7 +315,7 @@ class ChunkDecoder:
         blank = Chunk(head.looks, head.span, n, lives, fades, None, None, head.has(STARTS), head.finer, head.curved)
         _read(reader, self._trees, 0)
         reader.finish()
-        return self._with_trees(blank)
+        return blank
 
     def _with_trees(self, chunk: Chunk) -> Chunk:
         moves, turns = (None if part is None else self._of_all(part.values, chunk.splats) for part in self._trees.parts)
