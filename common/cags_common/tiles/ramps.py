@@ -61,8 +61,10 @@ class Ramps:
 
     def drop(self, ids: Ids) -> None:
         """Forget ``ids``: their attribute has another value, at once."""
-        if len(self._ids) and len(ids):
-            self._keep(~np.isin(self._ids, ids))
+        _, at = self._found(ids)
+        kept = np.ones(len(self._ids), bool)
+        kept[at] = False
+        self._keep(kept)
 
     def ends(self, ids: Ids, otherwise: F32) -> F32:
         """The values [n, ...] to which ``ids`` [n] are on their way; ``otherwise`` [n, ...] those of all others."""

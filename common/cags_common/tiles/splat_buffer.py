@@ -299,9 +299,10 @@ class SplatBuffer:
         ramps = self._ramps[column]
         later = frame + change.frames.astype(np.int64) > time + 1
         if later.any():
-            fresh = change.take(later & ~ramps.refine(ids, frame, new))
+            begins = later & ~ramps.refine(ids, frame, new)
+            fresh = change.take(begins)
             before = ramps.ends(fresh.ids, target[fresh.ids])
-            ramps.put(fresh.ids, frame, fresh.frames, (before, fresh.values), since[np.isin(ids, fresh.ids)])
+            ramps.put(fresh.ids, frame, fresh.frames, (before, fresh.values), since[begins])
             ids, new = ids[~later], new[~later]
         ramps.drop(ids)
         target[ids] = new
