@@ -16,19 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.geometry import F64
+from cags_encoder.tracks.flow import TINY, Rows, field_at
 from cags_encoder.tracks.linking import (
     ACCEPTED,
     APART,
     COMPANIONS,
     LEAST_APART,
     LIMIT,
-    TINY,
     Field,
     Looks,
-    Rows,
     Tracks,
     differences,
-    field_at,
     link,
 )
 

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from cags_common.bundle.tracks import TrackStatistics
 from cags_common.errors import SceneError
 from cags_common.splats import Ids
+from cags_encoder.tracks.flow import Rows
 from cags_encoder.tracks.hindsight import FRAMES, Linked, corrected
-from cags_encoder.tracks.linking import Looks, Rows, Tracks, alike, link
+from cags_encoder.tracks.linking import Looks, Tracks, alike, link
 from cags_encoder.tracks.looking import Look
 from cags_encoder.tracks.statistics import TrackCounter
 

@@ -10,10 +10,8 @@ All measures are relative to the splats, so the unit of length and the number of
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +19,8 @@ from numpy.typing import NDArray
 from cags_common.geometry import F32, F64
 from cags_common.splats import SH_C0, Splats
 from cags_common.tiles.morton import morton_order
+from cags_encoder.tracks.flow import TINY, Flow, Rows, field_at, middle_at
 from cags_encoder.tracks.rows import identical_rows
-
-Rows = NDArray[np.intp]
-
-Flow: TypeAlias = Callable[[F64, F64, F64, Rows], F64]
-"""How far splats [m, 3] move by those around them: see :func:`field_at`."""
 
 USUAL, STRANGE = 90, 3.0
 """Percentile of the differences in looks of a pair of frames, and the multiple of it above which a link is strange."""
@@ -69,9 +63,6 @@ SEED_LOOKS, SEED_SPREAD = 0.5, 0.25
 displacement may differ from those of other such splats by the second number, as a share of its length.
 """
 
-TINY = 1e-12
-"""Replaces a distance of zero: if splats coincide, everything elsewhere is out of reach."""
-
 FLOW_POINTS, FLOW_NEIGHBOURS = 8192, 4
 """Sample of moving splats, and number of nearest ones, from which a splat without a velocity takes the median."""
 
@@ -83,13 +74,10 @@ and distance from the prediction, as a share of the spacing, up to which a link 
 REGION = 64
 """Number of splats around one whose link is not known that are looked at again with it."""
 
-FIELD_ROUNDS, FIELD_RIDGE, FIELD_HOLDS = 3, 1e-3, 0.5
-"""Rounds in which outliers lose their weight in a linear field, share of the weights that holds its slopes at zero
-where points lie on a plane, and factor by which it has to reduce the distances from the median.
+SPARE, MANY = 8, 8
+"""Number of neighbours beside those wanted among which these are looked for, and share of splats (one in so many) from
+which on a tree of their own is made for them.
 """
-
-FIELD_PIECE = 16_384
-"""Splats whose fields are fitted at a time: each takes some 4 kB."""
 
 APART, LEAST_APART = 4.0, 0.3
 """Multiple of the usual distance of steps from the median of those around them, and distance in spacings, from which
@@ -346,7 +334,7 @@ class _Linking:
             place, _ = self._apart(came[strange], linked[strange], expected)
             strange = strange[place > STRANGE_PLACE]
         if len(strange):
-            expected = self._moved_by_others(linked, came[strange], field_at)
+            expected = self._moved_by_others(linked, came[strange], field_at, self._before.field)
             place, _ = self._apart(came[strange], linked[strange], expected)
             strange = strange[place > STRANGE_PLACE]
         self._free[came[strange]] = True
@@ -465,9 +453,10 @@ class _Linking:
         suspect[self.rows[linked[apart]]] = True
         free = np.flatnonzero(self._free)
         pool, moving = np.union1d(came, free), np.union1d(self.rows[linked], free)
-        around = Field(self._before.means, moving).near(self._before.means[pool], COMPANIONS + 1)[1]
-        for flow, again in ((_middle_of, True), (field_at, False)):
-            self._settle_by(flow, expected, _Pool(pool, around, again, suspect))
+        field = Field(self._before.means, moving)
+        around = field.near(self._before.means[pool], COMPANIONS + 1)[1]
+        for flow, again in ((middle_at, True), (field_at, False)):
+            self._settle_by(flow, expected, _Pool(pool, around, again, suspect), field)
 
     def _around(self, rows: Rows) -> NDArray[np.bool_]:
         """Mask of the splats of the frame before that lie around some ``rows`` of it."""
@@ -477,7 +466,7 @@ class _Linking:
             out[self._before.field.near(self._before.means[rows], REGION)[1]] = True
         return out
 
-    def _settle_by(self, flow: Flow, expected: F64, pool: _Pool) -> None:
+    def _settle_by(self, flow: Flow, expected: F64, pool: _Pool, moving: Field) -> None:
         """Search for splats of the ``pool`` where ``flow`` says, as long as this explains more of them. After the first
         round only those are looked at whose link, or one near them, has changed.
         """
@@ -490,7 +479,7 @@ class _Linking:
             own = np.where(pool.suspect[self.rows[mine]], np.inf, self._off(mine, expected))
             off[self.rows[mine[own <= EXPLAINED]]] = 0.0
             stale = mine[(own > EXPLAINED) & touched[self.rows[mine]]]
-            off[self.rows[stale]] = self._off(stale, self._moved_by_others(linked, self.rows[stale], flow))
+            off[self.rows[stale]] = self._off(stale, self._moved_by_others(linked, self.rows[stale], flow, moving))
             lost = mine[off[self.rows[mine]] > EXPLAINED]
             left = len(lost) + int(self._free.sum())
             if left >= best:
@@ -499,7 +488,8 @@ class _Linking:
             wanted = self._free & searched
             wanted[self.rows[lost]] = self._free[self.rows[lost]] = True
             self.rows[lost] = -1
-            places = self._moved_by_others(np.flatnonzero(self.rows >= 0), np.flatnonzero(wanted), flow)
+            known = np.flatnonzero(self.rows >= 0)
+            places = self._moved_by_others(known, np.flatnonzero(wanted), flow, self._before.field)
             self._search(places, among=wanted)
             self._search(expected, among=wanted)
             touched = searched = pool.mask(_linked_otherwise(kept, self.rows, len(off)))
@@ -537,23 +527,41 @@ class _Linking:
         off: F64 = np.linalg.norm(self._after.means[after] - expected[self.rows[after]], axis=1)
         return off / max(self._after.spacing, TINY)
 
-    def _moved_by_others(self, linked: Rows, rows: Rows, flow: Flow) -> F64:
+    def _moved_by_others(self, linked: Rows, rows: Rows, flow: Flow, among: Field) -> F64:
         """Places of all splats of the frame before [n, 3], ``rows`` of them moved as the :data:`COMPANIONS` nearest
-        of the ``linked`` did, themselves aside.
+        of the ``linked`` did, themselves aside. The linked are ``among`` the splats of a field.
         """
-        from scipy.spatial import cKDTree
-
         came, expected = self.rows[linked], self._before.means.copy()
         if not len(came) or not len(rows):
             return expected
-        moved = self._after.means[linked] - expected[came]
-        k = min(COMPANIONS + 1, len(came))
-        near = cKDTree(expected[came]).query(expected[rows], k=k, workers=1)[1].reshape(len(rows), k)
-        own = came[near] == rows[:, None]
-        last = np.where(own.any(axis=1)[:, None], near[:, -1:], near[:, -2:-1] if k > 1 else near[:, -1:])
-        near = np.where(own, last, near)[:, :-1] if k > 1 else near
-        expected[rows] += flow(expected[rows], expected[came], moved, near)
+        moved = np.zeros_like(expected)
+        moved[came] = self._after.means[linked] - expected[came]
+        near = self._nearest(came, rows, min(COMPANIONS + 1, len(came)), among)
+        own = near == rows[:, None]
+        if near.shape[1] > 1:
+            last = np.where(own.any(axis=1)[:, None], near[:, -1:], near[:, -2:-1])
+            near = np.where(own, last, near)[:, :-1]
+        expected[rows] += flow(expected[rows], expected, moved, near)
         return expected
+
+    def _nearest(self, came: Rows, rows: Rows, count: int, among: Field) -> Rows:
+        """The ``count`` nearest [m, count] of ``came`` to each of ``rows`` [m], in the frame before.
+
+        Most of the splats ``among`` which they are have come: of a few more neighbours than wanted, those are taken.
+        Only where they are not enough, and for many rows, a tree of those that came is worth making.
+        """
+        means = self._before.means
+        if len(rows) * MANY > len(came):
+            return Field(means, came).near(means[rows], count)[1]
+        held = np.zeros(len(means), bool)
+        held[came] = True
+        found = among.near(means[rows], count + SPARE)[1]
+        there = held[found]
+        near = np.take_along_axis(found, np.argsort(~there, axis=1, kind="stable")[:, :count], axis=1)
+        few = np.flatnonzero(there.sum(axis=1) < count)
+        if len(few):
+            near[few] = Field(means, came).near(means[rows[few]], count)[1]
+        return near
 
     def _moved_with(self, linked: Rows, rows: Rows) -> F64:
         """Places of all splats of the frame before [n, 3], ``rows`` of them moved as the ``linked`` around them."""
@@ -603,7 +611,7 @@ class Field:
         from scipy.spatial import cKDTree
 
         self._rows = rows
-        self._tree = cKDTree(means[rows])
+        self._tree = cKDTree(means[rows], balanced_tree=False)  # made in half of the time, and as quick
 
     def near(self, places: F64, count: int) -> tuple[F64, Rows]:
         """Distances [m, k] and rows [m, k] of the ``count`` splats nearest to each of ``places`` [m, 3]."""
@@ -623,39 +631,6 @@ def _mutual(scores: F64, found: Rows, count: int) -> tuple[Rows, Rows]:
     first = np.unique(theirs[pairs], return_index=True)[1]  # of equals one
     pairs = pairs[first]
     return pairs, theirs[pairs]
-
-
-def _middle_of(places: F64, points: F64, moved: F64, near: Rows) -> F64:
-    """As :func:`field_at`, the median alone."""
-    middle: F64 = np.median(moved[near], axis=1)
-    return middle
-
-
-def field_at(places: F64, points: F64, moved: F64, near: Rows) -> F64:
-    """How far splats at ``places`` [m, 3] move if they go with those of ``points`` [n, 3], which ``moved`` [n, 3], that
-    are ``near`` [m, k] each: the value of a linear field, where one holds for them, otherwise the median.
-
-    Points that agree with the others weigh more in the field.
-    """
-    if len(near) > FIELD_PIECE:
-        pieces = [slice(first, first + FIELD_PIECE) for first in range(0, len(near), FIELD_PIECE)]
-        return np.concatenate([field_at(places[piece], points, moved, near[piece]) for piece in pieces])
-    apart, values = points[near] - places[:, None], moved[near]
-    middle = np.median(values, axis=1)
-    unit = np.sqrt(np.square(apart).sum(axis=2).mean(axis=1))[:, None, None]
-    design = np.concatenate([np.ones((*near.shape, 1)), apart / np.maximum(unit, TINY)], axis=2)
-    ridge = FIELD_RIDGE * near.shape[1] * np.diag([0.0, 1.0, 1.0, 1.0])
-    before = off = np.linalg.norm(values - middle[:, None], axis=2)
-    fit = np.zeros((len(places), 4, 3))
-    for _ in range(FIELD_ROUNDS):
-        usual = np.median(off, axis=1, keepdims=True)
-        weighted = design * (1 / (1 + np.square(off / np.maximum(2 * usual, TINY))))[..., None]
-        normal = np.einsum("mki,mkj->mij", weighted, design) + ridge
-        fit = np.linalg.solve(normal, np.einsum("mki,mkc->mic", weighted, values))
-        off = np.linalg.norm(values - np.einsum("mki,mic->mkc", design, fit), axis=2)
-    holds = np.median(off, axis=1) < FIELD_HOLDS * np.median(before, axis=1)
-    out: F64 = np.where(holds[:, None], fit[:, 0], middle)
-    return out
 
 
 def _flow(places: F64, points: F64, velocities: F64, *, others: bool = False) -> F64:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cags_common.splats import Splats
-from cags_encoder.tracks.linking import Looks, Tracks, field_at, link
+from cags_encoder.tracks.linking import Looks, Tracks, link
 from support.codec_scenes import cloud, with_changes
 from support.tracked_clips import TrueFrame, disguised, linked
 
@@ -229,17 +229,3 @@ def test_a_ball_of_alike_splats_that_rolls_past_their_spacing_keeps_them(turn: f
     score = linked(rolling(9, turn, step))
     assert score.found >= 0.99
     assert score.false <= 0.002
-
-
-def test_a_linear_field_is_taken_where_one_holds_and_the_median_elsewhere() -> None:
-    rng = np.random.default_rng(3)
-    points = rng.uniform(-1, 1, (400, 3))
-    places = rng.uniform(-0.8, 0.8, (50, 3))
-    near = np.argsort(np.linalg.norm(points[None] - places[:, None], axis=2), axis=1)[:, :16]
-    turn = np.array([[0.0, -0.4, 0.1], [0.4, 0.0, 0.0], [-0.1, 0.0, 0.0]])
-    moved = points @ turn.T + [1.0, 0, 0]
-    moved[rng.permutation(400)[:40]] += rng.normal(size=(40, 3))  # a tenth is linked wrongly
-    found = field_at(places, points, moved, near)
-    assert np.median(np.linalg.norm(found - (places @ turn.T + [1.0, 0, 0]), axis=1)) < 0.01
-    noise = rng.normal(size=(400, 3))
-    assert np.allclose(field_at(places, points, noise, near), np.median(noise[near], axis=1))
