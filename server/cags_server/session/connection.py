@@ -65,6 +65,7 @@ class Connection:
         self._quota = ClientQuota(quotas or Quotas(), now_us)
         self._fetches, self._unopened = fetches, False
         self._fetching: int | None = None  # media frame
+        self._opening: int | None = None  # the frame that was asked for last without the stream's waiting for it
         self._fetched: set[int] = set()  # of the frames that are needed: those that were at hand once
         self._stats = StreamStats()
 
@@ -109,7 +110,7 @@ class Connection:
         self._settle(now_us)
 
     def next_fetch(self) -> int | None:
-        """A media frame to read from the store (:meth:`fetch`, on any thread) before the stream can go on.
+        """A media frame to read from the store (:meth:`fetch`, on any thread) before the stream can go on, or soon.
 
         One at a time; its end is told to :meth:`fetched`.
         """
@@ -119,6 +120,8 @@ class Connection:
         if self._fetching is None and self._unopened and self.streamer is not None:
             # Read for somebody else since the client joined: a fetch that finds it there still opens the stream.
             self._fetching = self.streamer.first_frame
+        if self._fetching is None and self.streamer is not None and self.streamer.next_opening != self._opening:
+            self._fetching = self._opening = self.streamer.next_opening  # once: it may be that it cannot be read
         return self._fetching
 
     def fetch(self, frame: int) -> None:
@@ -264,6 +267,7 @@ class Connection:
             link=self._link,
             may_render=self._may_render,
             lightly=self._lightly,
+            fetches=self._fetches,
         )
         if resumed:
             streamer.resume(inventory)

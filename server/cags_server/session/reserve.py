@@ -24,6 +24,10 @@ class Reserve:
         """Whether it is more than the least."""
         return self.frames > self._least
 
+    def covers(self, ahead_us: float) -> bool:
+        """Whether tiles may precede their frame by so much."""
+        return ahead_us <= self._longest_us
+
     def planned(self, supply: Supply, *, period_us: float) -> None:
         """A frame was planned; displayed frames are ``period_us`` apart."""
         if supply is Supply.BASE_MISSING:

@@ -84,9 +84,11 @@ class Streamer:
         link: LinkState,
         may_render: Callable[[int], bool] = lambda now_us: True,
         lightly: Callable[[], bool] = lambda: False,
+        fetches: bool = False,
     ) -> None:
         """``may_render(now_us)`` says whether the renderer has a slot for this client when a reference is due.
-        ``lightly()`` says whether references should save processor time.
+        ``lightly()`` says whether references should save processor time. ``fetches``: the owner reads what
+        :attr:`next_frames` and :attr:`next_opening` name; else what is needed is read where it is needed.
         """
         self.stats = StreamStats(levels=library.manifest.lods)
         self.lacking: float | None = None
@@ -119,6 +121,7 @@ class Streamer:
             tiles=self._tiles,
             dispatch=self._dispatch,
             worth=self._worth,
+            fetches=fetches,
         )
         self._rests_until_us = 0  # the renderer, after a job that took long
         self._render_plan: FramePlan | None = None  # the newest
@@ -160,6 +163,11 @@ class Streamer:
         ended = ahead if self._tiles.ended is None else self._tiles.ended
         passed = range(ended + 1, ahead) if ahead - ended - 1 <= FEW_PASSED else ()
         return (own, *passed, ahead)
+
+    @property
+    def next_opening(self) -> int | None:
+        """A media frame that plans would like to know, and do not wait for: the next group's first. None for none."""
+        return self._planner.to_fetch
 
     @property
     def _frame_ahead(self) -> int | None:

@@ -1,7 +1,8 @@
 """Chooses the tiles that go out with each planned frame of one client, and between two frames.
 
 What a frame needs is what the viewer sees of it, what has come into view since it was planned, and, while the viewer is
-paused, what begins next. The rate policy chooses among these within the byte budget.
+paused, what begins next. The rate policy chooses among these within the byte budget. What that leaves brings what opens
+the next group of frames.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from cags_server.link.pace import MARGIN_US
 from cags_server.ratecontrol import Decision, Observation, create_rate_policy
 from cags_server.ratecontrol.base import TileView, mean_level
 from cags_server.ratecontrol.outlook import Supply, lacking_bytes, supply
-from cags_server.records import FrameRecord
+from cags_server.records import Ahead, FrameRecord
 from cags_server.reference.job import FramePlan
 from cags_server.reference.worth import Worth
 from cags_server.scene.library import SceneLibrary
@@ -56,20 +57,31 @@ class TilePlanner:
         tiles: TileSender,
         dispatch: Dispatch,
         worth: Worth,
+        fetches: bool = False,
     ) -> None:
+        """``fetches``: what is to be read from the store is asked for by :attr:`to_fetch`, and not read here."""
         self._library, self._settings = library, settings
         self._viewer, self._schedule, self._link = viewer, schedule, link
         self._visibility, self._tiles, self._dispatch, self._worth = visibility, tiles, dispatch, worth
         self._policy = create_rate_policy(settings.abr)
         self._newest: FrameRecord | None = None  # the frame that was served last, while the client lacks some of it
         self._decided_us = 0  # when tiles were chosen last
+        self._fetches = fetches
+        self._opening: Ahead | None = None  # of the next group of frames, where it is near
         self._held_is_good = False  # the frame that the viewer is paused at, about as good as it will be
         self._followers: tuple[VisibleTile, ...] | None = None  # what begins after it and was not sent; None: not known
 
     def restart(self) -> None:
         """The viewer has played, paused or jumped: what was planned before says nothing any more."""
-        self._newest = self._followers = None
+        self._newest = self._followers = self._opening = None
         self._held_is_good = False
+
+    @property
+    def to_fetch(self) -> int | None:
+        """The media frame to be read for what opens the next group; None for none. Plans do not wait for it."""
+        if self._opening is None or not self._fetches or self._library.at_hand(self._opening.frame):
+            return None
+        return self._opening.frame
 
     def beginning(self, plan: FramePlan, now_us: int) -> list[ev.Outgoing]:
         """The first tiles of a picture, for a client that holds nothing."""
@@ -103,7 +115,7 @@ class TilePlanner:
         """The tiles for the frame ahead of ``record``, of which ``visible`` are in view, and the frame's end."""
         wanted = visible + self._come_into_view(record, visible)
         wanted += self._following(record, wanted)
-        return self._chosen(wanted, record, now_us, newest=True)
+        return self._chosen(wanted, record, now_us, newest=True) + self._next_group(record, now_us)
 
     def detail_due_us(self) -> int | None:
         """Time to choose more tiles for the frame that was served last; None if it lacks none, or nobody has seen it.
@@ -163,6 +175,37 @@ class TilePlanner:
                 if tile.frame > frame:
                     found.setdefault((tile.frame, tile.tile), tile)
         return tuple(found.values())
+
+    def _next_group(self, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
+        """What opens the next group of frames, by what is left of the budget: its splats are all due with its first
+        frame, which takes a link a second that is idle before. What is in view there is guessed by bounds.
+        """
+        opening = self._opening = self._opening_of_next_group(record)
+        lacks = self._newest is not None  # the frame of the record does
+        if opening is None or lacks or self.to_fetch is not None:
+            return []
+        camera = self._viewer.camera(record.predicted)
+        pixels = camera.intrinsics.width_px * camera.intrinsics.height_px
+        tiles = self._visibility.guessed_tiles(opening.frame, camera, pixels)
+        step = replace(record, ahead=opening, ticks_covered=0, reference_bytes=0)  # which earn no budget again
+        observation, earned_bytes = self._observed(tiles, step, now_us)
+        decision = self._policy.decide(observation)
+        record.tile_bytes += decision.bytes
+        self._dispatch.budget.close(earned_bytes - decision.bytes, now_us)
+        return self._dispatch.queue(
+            self._tiles.upgrades(record.ahead.frame, decision.upgrades, self._deadline_us(opening)), now_us
+        )
+
+    def _opening_of_next_group(self, record: FrameRecord) -> Ahead | None:
+        """The first frame of the group after that of ``record``; None where the reserve would not reach it yet."""
+        manifest, timeline = self._library.manifest, self._schedule.timeline
+        first = manifest.gof_frames(manifest.gof_of(record.frame))[-1] + 1
+        if not timeline.playing or not record.ahead.frame < first < manifest.frames:
+            return None
+        if manifest.capacity[manifest.gof_of(first)] > RESERVED_SPLATS:
+            return None
+        display_us = record.ahead.display_us + round((first - record.ahead.frame) * timeline.period_us)
+        return Ahead(first, display_us) if self._schedule.reserve.covers(display_us - record.display_us) else None
 
     # ------------------------------------------------------------------------------------------------ what it is given
 
@@ -250,9 +293,12 @@ class TilePlanner:
 
     def _messages(self, decision: Decision, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
         ahead = record.ahead
-        deadline_us = self._viewer.clock.to_server(ahead.display_us) + int(self._settings.tile_deadline_ms * 1000)
-        out = self._tiles.upgrades(ahead.frame, decision.upgrades, deadline_us)
+        out = self._tiles.upgrades(ahead.frame, decision.upgrades, self._deadline_us(ahead))
         return self._dispatch.queue_frame(out, ahead.display_us, now_us)
+
+    def _deadline_us(self, ahead: Ahead) -> int:
+        """Until when tiles for a frame are worth sending."""
+        return self._viewer.clock.to_server(ahead.display_us) + int(self._settings.tile_deadline_ms * 1000)
 
 
 def _dearest(tiles: tuple[TileView, ...], frame: int) -> int:

@@ -16,6 +16,7 @@ from cags_protocol.wire.messages import Control, FrameEnd, PoseSample, Reference
 from cags_server.reference.job import FrameJob, FrameRender
 from cags_server.reference.render_slots import RenderSlots
 from cags_server.session.connection import Connection
+from cags_server.session.streamer import Streamer
 from support.server_scene import FPS, SETTINGS, FakeReader, hello, library
 from support.streamer_rig import Rig, of
 
@@ -352,6 +353,23 @@ def test_a_stream_waits_for_its_frames_to_be_read_and_asks_for_each_once() -> No
     assert [e.message.frame for e in pair.of(ev.FrameEnded)] == list(range(12))
     assert pair.fetched == sorted(set(pair.fetched))
     assert {0, 6} <= set(pair.fetched), "a group's first frame brings its others along"
+
+
+def test_what_opens_the_next_group_is_read_once_and_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frame that cannot be read was asked for again and again."""
+    pair = FetchingPair()
+    pair.run(100)
+    pair.read()
+    monkeypatch.setattr(Connection, "_needed", lambda _: None)
+    wanted: list[int | None] = [6, 6, None, 6]
+    monkeypatch.setattr(Streamer, "next_opening", property(lambda _: wanted[0]))
+    asked = []
+    while wanted:
+        asked.append(pair.connection.next_fetch())
+        if asked[-1] is not None:
+            pair.connection.fetched(asked[-1], pair.now_us)
+        wanted.pop(0)
+    assert asked == [6, None, None, 6]
 
 
 def test_a_frame_that_was_read_for_somebody_else_meanwhile_opens_the_stream_too() -> None:

@@ -181,3 +181,50 @@ def test_what_a_plan_looks_at_is_known_before() -> None:
         passed = range(reached + 1, record.ahead.frame)
         assert known == (record.frame, *passed, record.ahead.frame)
         reached = record.ahead.frame
+
+
+def key_tiles(outgoing: list[ev.Outgoing], frame: int) -> set[tuple[int, int]]:
+    """Tiles of ``frame`` and their levels."""
+    tiles = [tile for tile in of(TileLayers, outgoing) if tile.frame == frame]
+    return {(tile.tile, lod) for tile in tiles for lod in range(tile.from_lod, tile.to_lod)}
+
+
+def test_over_an_idle_link_the_next_group_comes_before_its_first_frame_is_due() -> None:
+    """All its splats were due at once: after each border quality fell by twenty decibels for a second."""
+    rig = Rig(RESERVED, frames=60, gof=20)
+    rig.play()
+    sent: dict[int, set[tuple[int, int]]] = {}
+    for frame in range(18):
+        out = rig.step()
+        record = rig.streamer.stats.records[-1]
+        assert not ends(out) or ends(out)[-1] == record.ahead.frame, "none of the next group yet"
+        if record.ahead.frame < 20:
+            sent[frame] = key_tiles(out, 20)
+            assert all(each.deadline_us for each in out if isinstance(each.message, TileLayers))
+    assert [frame for frame, tiles in sent.items() if tiles] == [8], "0.4 seconds before"
+    assert sent[8] == {(tile, lod) for tile in range(4) for lod in range(4)}
+    later = rig.step() + rig.step() + rig.step()
+    assert ends(later)[-1] >= 20
+    assert not key_tiles(later, 20), "once"
+
+
+@pytest.mark.parametrize("why", ["no reserve", "many splats", "lacks", "not read"])
+def test_the_next_group_waits_for_its_turn(why: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = replace(RESERVED, reserve_s=0.0) if why == "no reserve" else RESERVED
+    if why == "many splats":
+        monkeypatch.setattr(tile_planner, "RESERVED_SPLATS", 30)
+    if why == "lacks":
+        monkeypatch.setattr(tile_planner, "supply", lambda *_: Supply.DETAIL_MISSING)
+    rig = Rig(settings, frames=60, gof=20)
+    if why == "not read":
+        monkeypatch.setattr(rig.streamer._planner, "_fetches", True)
+        monkeypatch.setattr(rig.library, "at_hand", lambda frame: frame < 20)
+    rig.play()
+    for frame in range(17):
+        out = rig.step()
+        if rig.streamer.stats.records[-1].ahead.frame < 20:
+            assert not key_tiles(out, 20)
+            assert rig.streamer.next_opening == (20 if why == "not read" and frame >= 8 else None)
+    rig.control("pause", 17, 900_000, keeps=True)
+    rig.step()
+    assert rig.streamer.next_opening is None
