@@ -1,18 +1,22 @@
 """Adapters and devices: which one is used, why none is, and what its limits are.
 
-Hardware behind Vulkan, Metal or Direct3D 12 only. Software adapters (lavapipe, SwiftShader, WARP) are slower than the
-``cpu`` backend; tests ask for one with ``CAGS_GPU_SOFTWARE=1``. ``CAGS_GPU_ADAPTER`` picks by a part of the name.
+Hardware behind Vulkan, Metal or Direct3D 12 only. A Linux machine without a device file of any is not asked further:
+wgpu and the drivers take a second to say so, at every start of a program. Software adapters (lavapipe, SwiftShader,
+WARP) are slower than the ``cpu`` backend; tests ask for one with ``CAGS_GPU_SOFTWARE=1``. ``CAGS_GPU_ADAPTER`` picks by
+a part of the name.
 """
 
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
+from glob import glob
 from importlib import resources
 from typing import Any, TypeAlias
 
@@ -25,6 +29,17 @@ ADAPTER_VARIABLE = "CAGS_GPU_ADAPTER"
 BACKENDS = ("Vulkan", "Metal", "D3D12")
 LIMITS = ("max-storage-buffer-binding-size", "max-buffer-size")
 """What a device is asked for beyond WebGPU's defaults: as much as the adapter has."""
+
+DEVICE_FILES = (
+    "/dev/dri/render*",  # the kernel's own drivers
+    "/dev/nvidia[0-9]*",
+    "/dev/nvgpu*",  # Tegra
+    "/dev/dxg",  # Windows' processors in WSL
+    "/dev/kgsl-3d0",  # Adreno
+    "/dev/mali*",
+    "/dev/pvr*",
+)
+"""What Linux shows of a graphics processor."""
 
 STORAGE_BUFFERS = 8
 WORKGROUP_BYTES = 16384
@@ -87,6 +102,8 @@ def choose(software: bool | None = None, name: str | None = None) -> tuple[Adapt
     """The adapter to use. Raises :class:`ConfigError` with the reason, in one line, where there is none."""
     software = software_allowed() if software is None else software
     name = os.environ.get(ADAPTER_VARIABLE, "") if name is None else name
+    if not (software or name or _may_be_there()):
+        raise ConfigError(f"no device file of a graphics processor is here ({', '.join(DEVICE_FILES)})")
     found = adapters()
     named = [pair for pair in found if name.lower() in pair[0].name.lower()]
     fit = [pair for pair in named if software or not pair[0].software]
@@ -100,6 +117,11 @@ def choose(software: bool | None = None, name: str | None = None) -> tuple[Adapt
     if not named:
         raise ConfigError(f"no adapter is called {name!r} ({ADAPTER_VARIABLE}); there are: {names}")
     raise ConfigError(f"only software adapters are here ({names}), which are slower than the backend 'cpu'")
+
+
+def _may_be_there() -> bool:
+    """Whether this machine may have a graphics processor."""
+    return sys.platform != "linux" or any(map(glob, DEVICE_FILES))
 
 
 def why_unavailable() -> str:

@@ -41,6 +41,7 @@ class Adapter:
 @pytest.fixture
 def present(monkeypatch: pytest.MonkeyPatch) -> list[Adapter]:
     """The adapters that wgpu lists; a test fills in what it wants."""
+    monkeypatch.setattr(device, "DEVICE_FILES", ("/dev/null",))
     wgpu = pytest.importorskip("wgpu")
     found: list[Adapter] = []
     monkeypatch.setattr(type(wgpu.gpu), "enumerate_adapters_sync", lambda self, **_: list(found))
@@ -62,6 +63,27 @@ def test_software_is_refused_unless_asked_for(present: list[Adapter], monkeypatc
     assert raster.chosen("auto") == "auto"
     monkeypatch.setenv(device.SOFTWARE_VARIABLE, "1")
     assert choose()[0].software
+
+
+def test_without_a_device_file_wgpu_is_not_asked(present: list[Adapter], monkeypatch: pytest.MonkeyPatch) -> None:
+    """It took a second, at every start of a client and of a server."""
+    asked: list[None] = []
+    monkeypatch.setattr(device, "DEVICE_FILES", ("/dev/no-such-processor*",))
+    monkeypatch.setattr(device, "adapters", lambda: asked.append(None) or adapters())
+    present.append(Adapter("lavapipe", "CPU"))
+    monkeypatch.setattr(device.sys, "platform", "linux")
+    assert why_unavailable() == "no device file of a graphics processor is here (/dev/no-such-processor*)"
+    assert not asked
+    assert choose(software=True)[0].name == choose(name="lava", software=True)[0].name == "lavapipe"
+    assert "only software adapters are here" in refused(name="lava")
+    monkeypatch.setattr(device.sys, "platform", "darwin")
+    assert "only software adapters are here" in why_unavailable()
+
+
+def refused(**wanted: Any) -> str:
+    with pytest.raises(ConfigError) as refusal:
+        choose(**wanted)
+    return str(refusal.value)
 
 
 @needs_adapter
@@ -108,6 +130,7 @@ def test_without_wgpu_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> Non
             raise ImportError("No module named 'wgpu'")
         return real(name, *arguments, **named)
 
+    monkeypatch.setattr(device, "DEVICE_FILES", ("/dev/null",))
     monkeypatch.setattr(builtins, "__import__", absent)
     assert "pip install 'cags-stream[gpu]'" in why_unavailable()
 
