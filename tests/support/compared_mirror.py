@@ -26,6 +26,10 @@ class Compared:
         self.frames: list[int] = []
         self._made: dict[tuple[int, int], Splats] = {}
         """By frame and mark of the newest connection."""
+        self._newest = 0
+        """Order of the newest reference that was in force. After a change of speed an older one, of a later frame, may
+        follow it: the client then shows more than that one assumes.
+        """
         staged, present, restarted = FrameJob._staged, ClientPipeline.present, ClientPipeline.restarted
 
         def noted(job: FrameJob, drawn: RenderedView, options: RenderOptions) -> StagedViews:
@@ -40,10 +44,13 @@ class Compared:
             before = pipeline._used
             shown = present(pipeline, frame, *arguments, **named)
             reference = shown.reference
-            if reference is not None and reference.frame == frame and reference.assumes and pipeline._used > before:
+            if reference is None or not reference.assumes:
+                return shown
+            if reference.frame == frame and pipeline._used > before and reference.order >= self._newest:
                 basis = reference.basis - pipeline._marked_before
                 if basis > 0:  # of this connection
                     self._compare(pipeline, frame, basis)
+            self._newest = max(self._newest, reference.order)
             return shown
 
         def taken_up(pipeline: ClientPipeline, inventory: Sequence[InventoryEntry]) -> None:
