@@ -158,6 +158,7 @@ class _Encoding:
             writer.quality(self._quality)
         clip = ClipEncoder(self._source, self._settings, codec, writer, self._workers)
         motion = self._motion(codec)
+        self._tell("encode", 0, self._count)
         clip.run(
             self._count, self._journal, lambda done: self._tell("encode", done, self._count), motion, self._tolerances
         )

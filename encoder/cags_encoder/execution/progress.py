@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,6 +14,9 @@ Tell = Callable[[str, int, int], None]
 
 LINE_EVERY_S = 5.0
 """Seconds between two lines if stderr is not a terminal; shorter runs print nothing."""
+
+LOOK_EVERY_S = 0.5
+"""Seconds between two looks whether a stage has gone on for so long without a step."""
 
 _TITLES = {
     "prune": "pruning",
@@ -31,7 +35,11 @@ def progress_bar(*, lines: bool = False) -> Iterator[Tell]:
     If stderr is not a terminal, nothing is shown, or occasional lines if ``lines``.
     """
     if not sys.stderr.isatty():
-        yield progress_lines(sys.stderr, time.monotonic) if lines else _silent
+        if lines:
+            with _told_meanwhile(ProgressLines(sys.stderr, time.monotonic)) as written:
+                yield written.tell
+        else:
+            yield _silent
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -53,14 +61,53 @@ def _silent(stage: str, done: int, total: int) -> None:
     """Show nothing."""
 
 
-def progress_lines(stream: TextIO, clock: Callable[[], float]) -> Tell:
-    """A callback that writes a line to ``stream`` every :data:`LINE_EVERY_S` seconds of ``clock``."""
-    last_s = clock()
+class ProgressLines:
+    """Writes a line to ``stream`` every :data:`LINE_EVERY_S` seconds of ``clock``, also while a step takes longer: the
+    training of codebooks is one step, of up to a minute.
+    """
 
-    def tell(stage: str, done: int, total: int) -> None:
-        nonlocal last_s
-        if clock() - last_s >= LINE_EVERY_S:
-            last_s = clock()
-            print(f"{_TITLES.get(stage, stage)}: {done} of {total}", file=stream, flush=True)
+    def __init__(self, stream: TextIO, clock: Callable[[], float]) -> None:
+        self._stream, self._clock = stream, clock
+        self._last_s = self._begun_s = clock()
+        self._stage, self._done, self._total = "", 0, 0
+        self._lock = threading.Lock()
 
-    return tell
+    def tell(self, stage: str, done: int, total: int) -> None:
+        """A :data:`Tell`."""
+        with self._lock:
+            if stage != self._stage:
+                self._begun_s = self._clock()
+            self._stage, self._done, self._total = stage, done, total
+            if self._is_due():
+                self._write(f"{done} of {total}")
+
+    def look(self) -> None:
+        """Tell of a step that takes long."""
+        with self._lock:
+            if self._done < self._total and self._is_due():
+                self._write(f"{self._done} of {self._total}, for {self._clock() - self._begun_s:.0f} s")
+
+    def _is_due(self) -> bool:
+        return self._clock() - self._last_s >= LINE_EVERY_S
+
+    def _write(self, text: str) -> None:
+        self._last_s = self._clock()
+        print(f"{_TITLES.get(self._stage, self._stage)}: {text}", file=self._stream, flush=True)
+
+
+@contextmanager
+def _told_meanwhile(written: ProgressLines) -> Iterator[ProgressLines]:
+    """Look again and again from a thread of its own."""
+    ended = threading.Event()
+
+    def watch() -> None:
+        while not ended.wait(LOOK_EVERY_S):
+            written.look()
+
+    thread = threading.Thread(target=watch, name="progress", daemon=True)
+    thread.start()
+    try:
+        yield written
+    finally:
+        ended.set()
+        thread.join()
