@@ -142,7 +142,7 @@ def test_the_demo_says_what_its_strip_shows(strip, words):
 def test_the_demo_reports_the_frame_of_its_strip(tmp_path, gains_db, chosen):
     frames = [  # those of every 15th frame are saved
         {"frame": frame, "time_us": frame, "psnr_distorted_db": 30.0, "psnr_restored_db": 30.0 + gain_db}
-        | {"lod_mean": 1.0, "bytes_tiles": 1, "bytes_reference": 1}
+        | {"lod_mean": 1.0, "bytes_tiles": 1, "bytes_reference": 1, "half": False}
         for frame, gain_db in [*zip((0, 15, 30), gains_db, strict=False), (31, 5.0)]
     ]
     lines = [*frames, {"summary": True}]
@@ -157,7 +157,7 @@ def test_the_demo_reports_the_frame_of_its_strip(tmp_path, gains_db, chosen):
 
 def test_the_demo_plots_the_link_from_the_connection_on(tmp_path, monkeypatch):
     frame = {"frame": 0, "time_us": 9_000_000, "psnr_distorted_db": 30.0, "psnr_restored_db": 30.0}
-    frame |= {"lod_mean": 1.0, "bytes_tiles": 1, "bytes_reference": 1}
+    frame |= {"lod_mean": 1.0, "bytes_tiles": 1, "bytes_reference": 1, "half": False}
     lines = [frame, {"summary": True, "first_frame_ms": 2500.0}]
     (tmp_path / "frames.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     (tmp_path / "stages").mkdir()
