@@ -1,9 +1,8 @@
 """Adapters and devices: which one is used, why none is, and what its limits are.
 
-Hardware behind Vulkan, Metal or Direct3D 12 only. A Linux machine without a device file of any is not asked further:
-wgpu and the drivers take a second to say so, at every start of a program. Software adapters (lavapipe, SwiftShader,
-WARP) are slower than the ``cpu`` backend; tests ask for one with ``CAGS_GPU_SOFTWARE=1``. ``CAGS_GPU_ADAPTER`` picks by
-a part of the name.
+Hardware behind Vulkan, Metal or Direct3D 12 only. On Linux without a device file of any wgpu is not loaded: finding
+nothing would take a second at every start of a program. Software adapters (lavapipe, SwiftShader, WARP) are slower than
+the ``cpu`` backend; tests ask for one with ``CAGS_GPU_SOFTWARE=1``. ``CAGS_GPU_ADAPTER`` picks by a part of the name.
 """
 
 from __future__ import annotations

@@ -27,6 +27,9 @@ FIELD_ROUNDS, FIELD_RIDGE, FIELD_HOLDS = 3, 1e-3, 0.5
 where points lie on a plane, and factor by which it has to reduce the distances from the median.
 """
 
+FLOW_POINTS, FLOW_NEIGHBOURS = 8192, 4
+"""Sample of moving splats, and number of nearest ones, from which a splat without a velocity takes the median."""
+
 PIECE = 4096
 """Splats that are worked on at a time: their columns fit a processor's cache."""
 
@@ -51,6 +54,21 @@ def field_at(places: F64, points: F64, moved: F64, near: Rows) -> F64:
         return _field(apart, [axis[columns] for axis in of_moved])
 
     return _in_pieces(near, fitted)
+
+
+def velocities_at(places: F64, points: F64, velocities: F64, *, others: bool = False) -> F64:
+    """Velocities [m, 3] at ``places``: the medians of those of the nearest of ``points`` [n, 3].
+
+    With ``others`` the places are the points, and each is told by the others alone.
+    """
+    from scipy.spatial import cKDTree
+
+    stride = max(1, len(points) // FLOW_POINTS)
+    points, velocities = points[::stride], velocities[::stride]
+    k = min(FLOW_NEIGHBOURS + others, len(points))
+    near = cKDTree(points).query(places, k=k, workers=1)[1].reshape(len(places), k)
+    flow: F64 = np.median(velocities[near[:, others:]], axis=1)
+    return flow
 
 
 def _in_pieces(near: Rows, work: Callable[[slice, Rows], F64]) -> F64:

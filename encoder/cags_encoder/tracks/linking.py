@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from cags_common.geometry import F32, F64
 from cags_common.splats import SH_C0, Splats
 from cags_common.tiles.morton import morton_order
-from cags_encoder.tracks.flow import TINY, Flow, Rows, field_at, middle_at
+from cags_encoder.tracks.flow import FLOW_NEIGHBOURS, TINY, Flow, Rows, field_at, middle_at, velocities_at
 from cags_encoder.tracks.rows import identical_rows
 
 USUAL, STRANGE = 90, 3.0
@@ -62,9 +62,6 @@ SEED_LOOKS, SEED_SPREAD = 0.5, 0.25
 """Looks identify a splat if they differ by this at most, and by this share of the second best difference. Its
 displacement may differ from those of other such splats by the second number, as a share of its length.
 """
-
-FLOW_POINTS, FLOW_NEIGHBOURS = 8192, 4
-"""Sample of moving splats, and number of nearest ones, from which a splat without a velocity takes the median."""
 
 FLOW_ROUNDS, COMPANIONS, EXPLAINED = 12, 16, 0.05
 """Largest number of rounds in which doubtful links are searched again, number of neighbours that predict the position,
@@ -210,7 +207,7 @@ class Tracks:
         moving = self.ages > 0
         velocities = self.velocities.copy()
         if moving.any() and not moving.all():
-            velocities[~moving] = _flow(self.looks.means[~moving], self.looks.means[moving], velocities[moving])
+            velocities[~moving] = velocities_at(self.looks.means[~moving], self.looks.means[moving], velocities[moving])
         expected: F64 = self.looks.means + velocities
         return expected
 
@@ -294,9 +291,9 @@ class _Linking:
         if self._open():
             self._search(expected, FEW)
         if self._open():
-            self._search_by_flow()
+            self._search_byvelocities_at()
         if self._open() and self._search_by_looks():
-            self._search_by_flow()
+            self._search_byvelocities_at()
         if not self._by_rows:
             self._settle(expected)
         rows = by_row[self._free[by_row] & (self.rows[by_row] < 0)]
@@ -407,7 +404,7 @@ class _Linking:
         score = np.minimum(place, LIMIT) + looks
         return np.where((place <= reach * reach) & (score <= ACCEPTED), score, np.inf)
 
-    def _search_by_flow(self) -> None:
+    def _search_byvelocities_at(self) -> None:
         """Look for the rest where their neighbours went."""
         linked = np.flatnonzero(self.rows >= 0)
         if len(linked):
@@ -428,13 +425,13 @@ class _Linking:
         seeds, moved = seeds[alone], self._after.means[after[found[alone, 0]]] - self._before.means[seeds[alone]]
         if len(seeds) <= FLOW_NEIGHBOURS:
             return False
-        usual = _flow(self._before.means[seeds], self._before.means[seeds], moved, others=True)
+        usual = velocities_at(self._before.means[seeds], self._before.means[seeds], moved, others=True)
         tolerance = np.maximum(SEED_SPREAD * np.linalg.norm(usual, axis=1), REACH * self._after.spacing)
         agree = np.linalg.norm(moved - usual, axis=1) <= tolerance
         if agree.sum() <= FLOW_NEIGHBOURS:
             return False
         expected = self._before.means.copy()
-        expected[before] += _flow(expected[before], expected[seeds[agree]], moved[agree])
+        expected[before] += velocities_at(expected[before], expected[seeds[agree]], moved[agree])
         self._search(expected)
         return True
 
@@ -568,7 +565,7 @@ class _Linking:
         came = self.rows[linked]
         expected = self._before.means.copy()
         moved = self._after.means[linked] - expected[came]
-        expected[rows] += _flow(expected[rows], self._before.means[came], moved)
+        expected[rows] += velocities_at(expected[rows], self._before.means[came], moved)
         return expected
 
 
@@ -631,18 +628,3 @@ def _mutual(scores: F64, found: Rows, count: int) -> tuple[Rows, Rows]:
     first = np.unique(theirs[pairs], return_index=True)[1]  # of equals one
     pairs = pairs[first]
     return pairs, theirs[pairs]
-
-
-def _flow(places: F64, points: F64, velocities: F64, *, others: bool = False) -> F64:
-    """Velocities [m, 3] at ``places``: the medians of those of the nearest of ``points`` [n, 3].
-
-    With ``others`` the places are the points, and each is told by the others alone.
-    """
-    from scipy.spatial import cKDTree
-
-    stride = max(1, len(points) // FLOW_POINTS)
-    points, velocities = points[::stride], velocities[::stride]
-    k = min(FLOW_NEIGHBOURS + others, len(points))
-    near = cKDTree(points).query(places, k=k, workers=1)[1].reshape(len(places), k)
-    flow: F64 = np.median(velocities[near[:, others:]], axis=1)
-    return flow

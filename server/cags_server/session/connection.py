@@ -65,7 +65,7 @@ class Connection:
         self._quota = ClientQuota(quotas or Quotas(), now_us)
         self._fetches, self._unopened = fetches, False
         self._fetching: int | None = None  # media frame
-        self._opening: int | None = None  # the frame that was asked for last without the stream's waiting for it
+        self._asked_ahead: int | None = None  # the frame asked for last that the stream does not wait for
         self._fetched: set[int] = set()  # of the frames that are needed: those that were at hand once
         self._stats = StreamStats()
 
@@ -120,8 +120,8 @@ class Connection:
         if self._fetching is None and self._unopened and self.streamer is not None:
             # Read for somebody else since the client joined: a fetch that finds it there still opens the stream.
             self._fetching = self.streamer.first_frame
-        if self._fetching is None and self.streamer is not None and self.streamer.next_opening != self._opening:
-            self._fetching = self._opening = self.streamer.next_opening  # once: it may be that it cannot be read
+        if self._fetching is None and self.streamer is not None and self.streamer.next_opening != self._asked_ahead:
+            self._fetching = self._asked_ahead = self.streamer.next_opening  # once: it may not be readable
         return self._fetching
 
     def fetch(self, frame: int) -> None:

@@ -166,7 +166,7 @@ class Streamer:
 
     @property
     def next_opening(self) -> int | None:
-        """A media frame that plans would like to know, and do not wait for: the next group's first. None for none."""
+        """The first frame of the next group, if plans could use it and it is not read yet; they do not wait for it."""
         return self._planner.to_fetch
 
     @property

@@ -1,8 +1,8 @@
 """Chooses the tiles that go out with each planned frame of one client, and between two frames.
 
 What a frame needs is what the viewer sees of it, what has come into view since it was planned, and, while the viewer is
-paused, what begins next. The rate policy chooses among these within the byte budget. What that leaves brings what opens
-the next group of frames.
+paused, what begins next. The rate policy chooses among these within the byte budget. What is left of it goes to
+the first frame of the next group.
 """
 
 from __future__ import annotations
@@ -177,8 +177,8 @@ class TilePlanner:
         return tuple(found.values())
 
     def _next_group(self, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
-        """What opens the next group of frames, by what is left of the budget: its splats are all due with its first
-        frame, which takes a link a second that is idle before. What is in view there is guessed by bounds.
+        """Tiles of the first frame of the next group, from what is left of the budget: all its splats are due then, and
+        the link may be idle now. What will be in view is guessed from bounds.
         """
         opening = self._opening = self._opening_of_next_group(record)
         lacks = self._newest is not None  # the frame of the record does
