@@ -68,24 +68,23 @@ class ProgressLines:
 
     def __init__(self, stream: TextIO, clock: Callable[[], float]) -> None:
         self._stream, self._clock = stream, clock
-        self._last_s = self._begun_s = clock()
+        self._last_s = self._told_s = clock()  # of the last line, and of the last step
         self._stage, self._done, self._total = "", 0, 0
         self._lock = threading.Lock()
 
     def tell(self, stage: str, done: int, total: int) -> None:
         """A :data:`Tell`."""
         with self._lock:
-            if stage != self._stage:
-                self._begun_s = self._clock()
-            self._stage, self._done, self._total = stage, done, total
+            self._stage, self._done, self._total, self._told_s = stage, done, total, self._clock()
             if self._is_due():
                 self._write(f"{done} of {total}")
 
     def look(self) -> None:
         """Tell of a step that takes long."""
         with self._lock:
-            if self._done < self._total and self._is_due():
-                self._write(f"{self._done} of {self._total}, for {self._clock() - self._begun_s:.0f} s")
+            lasts_s = self._clock() - self._told_s
+            if self._done < self._total and lasts_s >= LINE_EVERY_S and self._is_due():
+                self._write(f"{self._done} of {self._total}, for {lasts_s:.0f} s")
 
     def _is_due(self) -> bool:
         return self._clock() - self._last_s >= LINE_EVERY_S

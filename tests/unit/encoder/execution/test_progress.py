@@ -44,6 +44,19 @@ def test_a_step_that_takes_long_is_told_of_while_it_does() -> None:
     ]
 
 
+def test_a_step_that_has_just_begun_is_not_told_of_because_the_last_line_is_old() -> None:
+    """`encoding frames: 0 of 40, for 0 s`."""
+    out, now = io.StringIO(), [0.0]
+    lines = ProgressLines(out, lambda: now[0])
+    now[0] = 2 * LINE_EVERY_S
+    lines.tell("sample", 1, 2)
+    now[0] += 0.9 * LINE_EVERY_S
+    lines.tell("encode", 0, 40)
+    now[0] += 0.2 * LINE_EVERY_S
+    lines.look()
+    assert out.getvalue() == "sampling frames: 1 of 2\n"
+
+
 def test_the_thread_that_looks_ends_with_the_stages(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
