@@ -37,6 +37,12 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     return None if leads_there else True
 
 
+@pytest.fixture
+def groups_pass(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No clip of several groups of frames is kept whole: decoders drop the groups that are past."""
+    monkeypatch.setattr("cags_common.bundle.manifest.MAX_WHOLE_SPLATS", 0)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark what is quick."""
     for item in items:

@@ -46,7 +46,7 @@ OF_THE_PAGE = {
     ("store/ramps", "cags_common.tiles.ramps"): "OF_LOOKS",
     ("decode/tiles", "cags_common.tiles.payloads"): "BASE_VERSION MAX_TILE_SPLATS MAX_POSITION_BITS MAX_POSITION",
     ("decode/positions", "cags_common.tiles.lod"): "MAX_POSITION_LAYERS POSITION",
-    ("decode/manifest", "cags_common.bundle.manifest"): "VERSION MAX_MANIFEST_BYTES MAX_FRAMES",
+    ("decode/manifest", "cags_common.bundle.manifest"): "VERSION MAX_MANIFEST_BYTES MAX_FRAMES MAX_WHOLE_SPLATS",
     ("decode/manifest", "cags_common.bundle.view"): "MAX_TITLE FARTHEST_M",
     ("decode/contexts", "cags_common.tiles.contexts"): "MAX_CODE_BITS MAX_PREFIX_BITS MAX_LANES SYMBOLS_A_LANE",
     ("decode/codebooks", "cags_common.tiles.svq"): "MAX_BASE_BITS MAX_LAYER_BITS MAX_STAGE_BITS MAX_CODEBOOK_BYTES",

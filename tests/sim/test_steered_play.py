@@ -33,7 +33,7 @@ def clips(tmp_path_factory: pytest.TempPathFactory) -> Clips:
     return Clips(tmp_path_factory.mktemp("bundles"))
 
 
-def test_a_loop_of_two_groups_goes_on(clips: Clips) -> None:
+def test_a_loop_of_groups_that_pass_goes_on(clips: Clips, groups_pass: None) -> None:
     """A restart was awaited that the server, told that the client keeps what it has, did not send."""
     play = SteeredPlay(scenario_of(clips.of(24, 12)))
     play.until(4)
@@ -41,9 +41,19 @@ def test_a_loop_of_two_groups_goes_on(clips: Clips) -> None:
     assert len(play.frames) > 70
 
 
+def test_a_clip_that_is_kept_whole_loops_without_a_break_from_what_is_held(clips: Clips) -> None:
+    play = SteeredPlay(scenario_of(clips.of(24, 8)))
+    play.until(6)
+    assert [frame["frame"] for frame in play.frames] == [i % 24 for i in range(len(play.frames))]
+    assert sum(frame["missed"] for frame in play.frames) == 0
+    assert len(play.frames) > 140
+    assert sum(frame["bytes_tiles"] for frame in play.frames[72:]) == 0
+    assert play.frames[-1]["lod_mean"] == play.library.manifest.lods - 1
+
+
 @pytest.mark.parametrize(("restore", "references"), [("none", "auto"), ("correct", "none")])
 def test_without_references_a_restart_hides_nothing_that_comes_after_it(
-    clips: Clips, restore: str, references: str
+    clips: Clips, groups_pass: None, restore: str, references: str
 ) -> None:
     client, server = replace(CLIENT, restore=restore), replace(SERVER, references=references)
     play = SteeredPlay(scenario_of(clips.of(24, 8), client=client, server=server))
@@ -52,7 +62,7 @@ def test_without_references_a_restart_hides_nothing_that_comes_after_it(
     assert sum(frame["missed"] for frame in play.frames) <= 1
 
 
-def test_a_jump_to_what_was_left_behind_is_answered_by_a_restart(clips: Clips) -> None:
+def test_a_jump_to_what_was_left_behind_is_answered_by_a_restart(clips: Clips, groups_pass: None) -> None:
     """In an outage the server plans two groups further than the display, and has forgotten the group on display."""
     seen: list[tuple[int, int | None]] = []
 
@@ -75,7 +85,7 @@ def test_a_jump_to_what_was_left_behind_is_answered_by_a_restart(clips: Clips) -
     assert play.problems() == []
 
 
-def test_what_was_on_its_way_at_a_restart_is_not_held(clips: Clips) -> None:
+def test_what_was_on_its_way_at_a_restart_is_not_held(clips: Clips, groups_pass: None) -> None:
     """Its acknowledgements come after the restart."""
     rng, client = random.Random(29), replace(CLIENT, startup_ms=0)
     at_us = int(rng.uniform(1.3e6, 3.0e6))
@@ -97,9 +107,19 @@ SEEDS = 4, 8, 14
 """Of random plays that ended ill once: tiles held only in the belief of the server, marks that stood still."""
 
 
-@pytest.mark.parametrize("seed", [*SEEDS, *(pytest.param(n, marks=pytest.mark.nightly) for n in range(30, 90))])
-def test_whatever_a_viewer_does_all_ends_of_one_mind(seed: int, clips: Clips, monkeypatch: pytest.MonkeyPatch) -> None:
+PLAYS = [
+    *((seed, whole) for seed in SEEDS for whole in (False, True)),
+    *(pytest.param(seed, seed % 2 == 1, marks=pytest.mark.nightly) for seed in range(30, 90)),
+]
+
+
+@pytest.mark.parametrize(("seed", "whole"), PLAYS)
+def test_whatever_a_viewer_does_all_ends_of_one_mind(
+    seed: int, whole: bool, clips: Clips, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Paused in the end, the client has what the server believes, shows it, and was never unlike its mirror."""
+    if not whole:
+        monkeypatch.setattr("cags_common.bundle.manifest.MAX_WHOLE_SPLATS", 0)
     rng = random.Random(seed)
     clip = clips.of(*rng.choice([(24, 8), (48, 48), (60, 12)]))
     trace = rng.choice(["steady-8", "steady-2", "steady-0.7", "steady-20", "blackout:start_s=3"])

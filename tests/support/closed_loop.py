@@ -95,7 +95,6 @@ class Client:
     waits: int = 0
     """Jumps by which it forgot everything that the server has not answered: what comes before that is ignored."""
     shown: int = 0
-    committed: int = 0
     exact_from: int = 0
     """The least mark of which a reference is exact: all that had come was shown without regard to marks."""
     offset: int = 0
@@ -148,12 +147,14 @@ class Client:
 
     def show(self, frame: int, basis: int | None) -> None:
         """Commit a frame, by a mark of this connection or with all that has come."""
-        if frame < self.committed:
+        buffer = self.store._gofs.get(self.reader.manifest.gof_of(frame))
+        replays = buffer is not None and (buffer._resting or frame < buffer.shown_frame)
+        self.shown = frame
+        self.store.commit(frame, None if basis is None else basis + self.offset)
+        if replays and self.store.on_display is buffer:
             self.exact_from = 0
         if basis is None:
             self.exact_from = self.newest + 1 - self.offset
-        self.shown = self.committed = frame
-        self.store.commit(frame, None if basis is None else basis + self.offset)
 
     def jump(self, frame: int, *, keeps: bool) -> None:
         """Go to ``frame``; what is held is kept, or forgotten until the server says that it has, too."""
@@ -363,10 +364,10 @@ class Session:
         """Within what is kept, forgetting nothing; or anywhere, forgetting everything."""
         manifest, client = self.library.manifest, self.client
         frame = int(self.rng.integers(0, manifest.frames))
-        if self.rng.random() < 0.7:
+        if self.rng.random() < (0.4 if manifest.kept_whole else 0.7):
             frame = int(self.rng.integers(self.library.gof_start(client.shown), client.shown + 1))
-        keeps = client.store.keeps and client.store.in_group(frame) and not client.waits
-        keeps &= manifest.gof_of(self.planned) == manifest.gof_of(frame)
+        keeps = frame in client.store.kept and not client.waits
+        keeps &= manifest.kept_whole or manifest.gof_of(self.planned) == manifest.gof_of(frame)
         client.jump(frame, keeps=keeps)
         client.wire = [item for item in client.wire if not isinstance(item[0], Referenced)]  # of another pass
         if not keeps:

@@ -24,10 +24,23 @@ Step = dict[str, Any]
 class Recorder:
     """Drives a store and writes down each step, and what is there after it."""
 
-    def __init__(self, manifest: Manifest, codec: TileCodec, camera: Camera | None = None) -> None:
+    def __init__(
+        self, manifest: Manifest, codec: TileCodec, camera: Camera | None = None, *, whole: bool = True
+    ) -> None:
+        """``whole``: whether the clip is kept whole, if it is small enough."""
         self.steps: list[Step] = []
+        self.whole = whole
         self.store = TileStore(manifest, codec)
-        self._camera = camera
+        self._camera, self._manifest = camera, manifest
+        self._pass()
+
+    @property
+    def reachable(self) -> int:
+        """The first frame that can be committed."""
+        return 0 if self.store._whole else self._manifest.gof_starts[self.store._oldest]
+
+    def _pass(self) -> None:
+        self.store._whole &= self.whole or len(self._manifest.gof_starts) == 1
 
     def add(self, arrivals: Sequence[Arrival]) -> None:
         errors = self.store.add_all(arrivals)
@@ -53,6 +66,7 @@ class Recorder:
 
     def reset(self, frame: int) -> None:
         self.store.reset(frame)
+        self._pass()
         self.steps.append({"op": "reset", "frame": frame})
 
     def restarted(self, rng: np.random.Generator) -> None:
@@ -73,6 +87,7 @@ class Recorder:
 
     def _shown(self, gof: GofBuffer, committed: Committed) -> Step:
         held = sorted([t.frame, t.tile, t.lods] for t in self.store.held())
+        kept = [self.store.kept.start, self.store.kept.stop]
         mean = gof.shown.lod_mean(self._camera) if self._camera else math.nan
         return {
             "columns": {name: zlib.crc32(np.ascontiguousarray(array)) for name, array in gof.splats.arrays()},
@@ -80,7 +95,7 @@ class Recorder:
             "rows": committed.rows.tolist(),
             "began": committed.began.tolist(),
             "moved": committed.moved.tolist(),
-            "flags": [committed.gof, committed.fresh, committed.missed, gof.full, self.store.keeps],
+            "flags": [committed.gof, committed.fresh, committed.missed, gof.full, *kept],
             "held": held,
             "ahead": self.store.ahead(0),
             "dropped": len(self.store.take_dropped()),

@@ -18,16 +18,22 @@ from support.node import run_script, why_not
 TOKEN = "a-word"
 
 
-async def test_a_stream_is_the_bundle_through_seeks_and_a_lost_connection(tmp_path: Path) -> None:
+@pytest.mark.parametrize("whole", [True, False])
+async def test_a_stream_is_the_bundle_through_seeks_and_a_lost_connection(
+    whole: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """``whole``: the clip is kept whole, by server and client alike."""
     if reason := why_not():
         pytest.skip(reason)
+    if not whole:
+        monkeypatch.setattr("cags_common.bundle.manifest.MAX_WHOLE_SPLATS", 0)
     library = moving_library(str(tmp_path / "clip.cags"), 3)
     player = BundlePlayer(library.reader)
     expected = [_decoded(player.frame(frame)) for frame in range(FRAMES)]
     (tmp_path / "expected.json").write_text(json.dumps(expected))
     async with serving(library, token=TOKEN) as (_, server):
         url = stream_url(server).replace("0.0.0.0", "127.0.0.1")
-        await run_script("live", tmp_path, CAGS_SERVER=url, CAGS_TOKEN=TOKEN)
+        await run_script("live", tmp_path, CAGS_SERVER=url, CAGS_TOKEN=TOKEN, CAGS_WHOLE=str(int(whole)))
 
 
 def _decoded(frame: Any) -> dict[str, Any]:

@@ -38,8 +38,8 @@ def test_bundles_with_lives_and_updates_in_random_order(seed: int, tmp_path: Pat
     reader = write_moving(str(tmp_path / "clip.cags"), seed)
     rng = np.random.default_rng(seed)
     scripts = []
-    for _ in range(10):
-        record = Recorder(reader.manifest, reader.codec, CAMERA)
+    for order in range(10):
+        record = Recorder(reader.manifest, reader.codec, CAMERA, whole=order % 2 == 0)
         messages, ends = [], []
         for frame in range(reader.manifest.frames):
             for number, tile in enumerate(reader.frame(frame).tiles):
@@ -48,7 +48,7 @@ def test_bundles_with_lives_and_updates_in_random_order(seed: int, tmp_path: Pat
                 messages += [Arrival(frame, number, 0, payloads[:cut]), Arrival(frame, number, cut, payloads[cut:])]
             ends.append((frame, reader.removed_ids(frame)))
         _play(record, rng, [m for m in messages if m.payloads], ends, reader.manifest.frames)
-        scripts.append(_wrapped(reader.manifest.public_json(), bytes(reader.codebooks()), record.steps))
+        scripts.append(_wrapped(reader.manifest.public_json(), bytes(reader.codebooks()), record))
     run_tests("store", tmp_path, scripts=scripts)
 
 
@@ -59,15 +59,15 @@ def _script(seed: int, order: int, folder: Path) -> Step:
     folder.mkdir(exist_ok=True)
     clip = written(folder / f"{order}", of, frames)
     rng = np.random.default_rng(1000 * seed + order)
-    record = Recorder(of, clip.reader.codec, CAMERA)
+    record = Recorder(of, clip.reader.codec, CAMERA, whole=order % 2 == 0)
     messages = _damaged(rng, clip.messages(rng)) if order % 5 == 4 else clip.messages(rng)
     ends = [(f, _removed(rng)) for f in range(of.frames)]
     _play(record, rng, messages, ends, of.frames)
-    return _wrapped(of.public_json(), books().to_bytes(), record.steps)
+    return _wrapped(of.public_json(), books().to_bytes(), record)
 
 
-def _wrapped(info: bytes, codebooks: bytes, steps: list[Step]) -> Step:
-    return {"manifest": info.decode(), "codebooks": text(codebooks), "steps": steps}
+def _wrapped(info: bytes, codebooks: bytes, record: Recorder) -> Step:
+    return {"manifest": info.decode(), "codebooks": text(codebooks), "whole": record.whole, "steps": record.steps}
 
 
 def _removed(rng: np.random.Generator) -> np.ndarray:
@@ -121,7 +121,7 @@ def _play(
             basis = marked
         if rng.random() < 0.6:
             wanted = int(rng.integers(oldest, frames)) if rng.random() < 0.15 else min(shown + 1, frames - 1)
-            shown = max(wanted, record.store._manifest.gof_starts[record.store._oldest])
+            shown = max(wanted, record.reachable)
             basis = int(rng.integers(basis, marked + 1)) if marked else 0
             record.commit(shown, basis if marked and rng.random() < 0.7 else None)
             if rng.random() < 0.4:
@@ -130,6 +130,6 @@ def _play(
             shown = int(rng.integers(0, frames))
             record.reset(shown)
     record.flush()
-    for frame in range(record.store._manifest.gof_starts[record.store._oldest], frames):
+    for frame in range(record.reachable, frames):
         record.commit(frame)
         record.move(frame, 0.5)

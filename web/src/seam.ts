@@ -65,6 +65,8 @@ export interface SceneInfo {
   readonly gofStarts: readonly number[];
   /** Splat ids of each group: rows of the GPU's buffers. */
   readonly capacity: readonly number[];
+  /** Whether decoders keep all groups of frames, so that the clip loops, and is jumped in, from what they hold. */
+  readonly keptWhole: boolean;
   readonly shDegree: 0 | 1 | 2 | 3;
   /** Smallest and largest corner of all positions. */
   readonly bounds: readonly [Vec3, Vec3];
@@ -270,14 +272,23 @@ export type SourceEvent =
   | { readonly type: "status"; readonly status: Status }
   | { readonly type: "error"; readonly error: SourceError };
 
+/** The first of some frames, and the first one after them. */
+export type FrameRange = readonly [first: number, end: number];
+
+export const NO_FRAMES: FrameRange = [0, 0];
+
+export function within([first, end]: FrameRange, frame: number): boolean {
+  return frame >= first && frame < end;
+}
+
 /** A scene that streams in. Methods return at once, but for `frame`. */
 export interface SceneSource {
   /** Begin; `url` is ws(s)://HOST/stream, or http(s)://HOST/FOLDER/ of a published bundle. `listen` hears every event. */
   connect(url: string, options: ConnectOptions, listen: (event: SourceEvent) => void): void;
   /** Say how the play goes: also what has to be sent after a seek. */
   control(state: PlayState): void;
-  /** Whether a jump to `frame` can go on from what is held (the wire's `keeps`); known after the last `frame`. */
-  keeps(frame: number): boolean;
+  /** Frames among which the play can jump and go on with what is held (the wire's `keeps`); known after the last `frame`. */
+  readonly kept: FrameRange;
   /** Poses since the last call, oldest first, at most 64, and how many of 1,000 media frames are displayed. */
   sendPoses(samples: readonly PoseSample[], cadencePermille?: number): void;
   /** The reference video is broken after `seq` (0: nothing was decoded): ask for an IDR picture. */

@@ -54,7 +54,7 @@ async function frame({ number, request }: Extract<Request, { ask: "frame" }>): P
   try {
     if (!source) throw new Error("no frame before the scene is known");
     const update = await source.frame(request);
-    tell({ tell: "frame", number, update, keeps: source.keeps(request.frame) ? update.gof : undefined });
+    tell({ tell: "frame", number, update, kept: source.kept });
   } catch (error) {
     tell({ tell: "failed", number, message: error instanceof Error ? error.message : String(error) });
   }

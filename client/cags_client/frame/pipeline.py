@@ -158,9 +158,10 @@ class ClientPipeline:
         """The buffer of the displayed group of frames; None before any."""
         return self._store.on_display
 
-    def keeps(self, frame: int) -> bool:
-        """Whether playback can continue at ``frame`` from held tiles, at any quality."""
-        return self._store.keeps and self._store.in_group(frame)
+    @property
+    def kept(self) -> range:
+        """Frames among which playback can jump and go on with held tiles, at any quality."""
+        return self._store.kept
 
     def holds(self, frame: int) -> bool:
         """Whether ``frame`` can be drawn completely without further data."""

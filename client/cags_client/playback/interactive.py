@@ -3,7 +3,7 @@
 The state of play is a :class:`~cags_protocol.timeline.Timeline`. Every wish makes a new one and tells the server. A
 seek waits until no decoding and no drawing is under way. Where the store cannot show the frame from what it holds, the
 server is asked to hold there; when the frame has come whole, the clip goes on from it. So nothing is skipped, however
-slow the link is. A loop within one group of frames goes on without a break: the server plans it ahead.
+slow the link is. A loop of a clip that is kept whole goes on without a break: the server plans it ahead.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ class InteractivePlayer(Player):
             self.pause(now_us)
         elif now_us - told.display_us(self._end_tick) > JUMP_US:  # the machine slept: no round is made up for
             self.seek(0)
-        elif told.loop and told.rate == self.rate and self.pipeline.keeps(0):
+        elif told.loop and told.rate == self.rate and 0 in self.pipeline.kept:
             self._end_tick = told.round_end(self._end_tick)
             self._due_us = told.display_us(next_due(self._next_tick, self._end_tick, self._quality.permille))
         else:
@@ -155,14 +155,14 @@ class InteractivePlayer(Player):
         if self.stats.started_us is None:
             return
         if keeps is None:
-            keeps = self.pipeline is not None and self.pipeline.keeps(frame)
-        loop = self.loop and keeps and self.info is not None and len(self.info.gof_starts) == 1
+            keeps = self.pipeline is not None and frame in self.pipeline.kept
+        loop = self.loop and keeps and self.pipeline is not None and len(self.pipeline.kept) == self._timeline.frames
         self._control(Control(action, frame, at_us, self.rate, loop=loop, keeps=keeps), now_us)
 
     def _seek_now(self, frame: int, now_us: int) -> None:
         assert self.pipeline is not None
         self._wanted_frame = None
-        keeps = self.pipeline.keeps(frame)
+        keeps = frame in self.pipeline.kept
         if keeps:
             self.pipeline.jump(frame)
         else:
@@ -195,7 +195,7 @@ class InteractivePlayer(Player):
             going = super()._state_of_play(now_us)
             assert going is not None
             control = going
-        keeps = self.pipeline is not None and self.pipeline.keeps(control.frame)
+        keeps = self.pipeline is not None and control.frame in self.pipeline.kept
         return replace(control, rate=self.rate, loop=self._timeline.loop, keeps=keeps)
 
     def _present(self, now_us: int) -> Present | None:  # type: ignore[override]

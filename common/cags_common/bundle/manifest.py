@@ -26,6 +26,9 @@ MAX_MANIFEST_BYTES = 16 * 2**20
 MAX_FRAMES = 1_000_000
 MAX_STILL = 64
 
+MAX_WHOLE_SPLATS = 1 << 20
+"""Largest sum of :attr:`Manifest.capacity` of a clip that decoders keep whole."""
+
 MAX_LENGTH = 1e12
 """Largest radius of the focus and largest unit of motion, world units."""
 
@@ -135,6 +138,11 @@ class Manifest:
         """The frames of a group."""
         ends = (*self.gof_starts[1:], self.frames)
         return range(self.gof_starts[gof], ends[gof])
+
+    @property
+    def kept_whole(self) -> bool:
+        """Whether decoders keep all groups of frames, so that the clip loops, and is jumped in, from what they hold."""
+        return len(self.gof_starts) == 1 or sum(self.capacity) <= MAX_WHOLE_SPLATS
 
     def to_json(self) -> bytes:
         """UTF-8 JSON; equal manifests give equal bytes."""

@@ -4,7 +4,8 @@ Tiles are decoded on arrival (:mod:`cags_common.store.gof_tiles`). :meth:`GofBuf
 visible at once when that frame is shown; :mod:`cags_common.tiles.splat_buffer` combines looks, updates and motion into
 one array of splats. The result is a function of the frame and of what arrived up to a mark. It does not depend on how
 arrivals were batched or on earlier commits. Each group of frames has its own ids and its own store. Showing an earlier
-frame of the group replays held tiles, so a loop or a jump back needs no data from the network.
+frame of the group, or a group again that rested, replays held tiles, so a loop or a jump back needs no data from the
+network.
 """
 
 from __future__ import annotations
@@ -99,7 +100,7 @@ class GofBuffer:
         """Whether the end of the displayed frame had arrived at its commit."""
         self.begun = False
         """Whether looks of any frame up to the displayed one have been shown."""
-        self._rewound = False
+        self._rewound = self._resting = False
         self._ends: set[int] = set()  # not yet shown
         self._ended: dict[int, _End] = {}
         self._lock = threading.Lock()
@@ -124,6 +125,11 @@ class GofBuffer:
     def keeps(self) -> bool:
         """Whether the held tiles suffice to show earlier frames of the group again."""
         return self._tiles.keeps
+
+    @property
+    def kept_splats(self) -> int:
+        """Splats that are held for a replay alone; motion and updates count as the splats that take as much memory."""
+        return self._tiles.kept_splats
 
     # ------------------------------------------------------------------------------------------ arrival (decode thread)
 
@@ -161,7 +167,7 @@ class GofBuffer:
         """
         limit = math.inf if basis is None else basis
         horizon = self._newest_end(frame, limit)
-        if frame < self._shown_frame:
+        if frame < self._shown_frame or self._resting:
             self._rewind(horizon, limit)
         self._shown_frame, self._horizon = frame, max(self._horizon, horizon)
         ends = self._due(horizon, limit)
@@ -184,6 +190,12 @@ class GofBuffer:
         only[moved] = True
         rows = np.nonzero(touched)[0]
         return Changes(rows, began[rows], np.nonzero(only & ~touched)[0], self.whole)
+
+    def rest(self) -> None:
+        """Another group is on display: free the splats until the next :meth:`commit`, which replays held tiles."""
+        if self._shown_frame >= 0 and not self._resting:
+            self._buffer.release()
+            self._resting = True
 
     def move(self, time: float) -> NDArray[np.intp]:
         """Move the displayed splats to ``time``, after the committed frame; returns the moved rows [K]. Only position,
@@ -238,7 +250,7 @@ class GofBuffer:
         self._coarse.clear()
         with self._lock:
             self._ends = set(self._ended)
-        self._rewound, self.begun, self._horizon = True, False, -1
+        self._rewound, self._resting, self.begun, self._horizon = True, False, False, -1
 
     def _replaced(self, slot: Slot) -> None:
         """A tile is no longer shown."""

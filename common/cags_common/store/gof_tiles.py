@@ -364,9 +364,13 @@ class GofTiles:
             for level in [level for level in held.payloads if level > decoded]:
                 self._motion_bytes -= len(held.payloads.pop(level).data)
 
+    @property
+    def kept_splats(self) -> int:
+        """Splats that are held for a replay alone; motion and updates count as the splats that take as much memory."""
+        return self._kept_splats + self._updated_splats + self._motion_bytes // KEPT_SPLAT_BYTES
+
     def _bound_kept(self) -> None:
-        besides = self._updated_splats + self._motion_bytes // KEPT_SPLAT_BYTES
-        if self._opener.bounded and self.keeps and self._kept_splats + besides > MAX_KEPT_SPLATS:
+        if self._opener.bounded and self.keeps and self.kept_splats > MAX_KEPT_SPLATS:
             self._stop_keeping()
 
     # ---------------------------------------------------------------------------------------------------------- staging

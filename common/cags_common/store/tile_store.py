@@ -1,7 +1,8 @@
 """The store of a scene: one :class:`GofBuffer` per group of frames.
 
-A group is dropped when the next one is first shown. *Marks* divide the stream into what a reference assumes and what
-comes later. Server and client number them alike, so both can show the same splats.
+A group is dropped when the next one is first shown, except in a small clip, which is kept whole. *Marks* divide the
+stream into what a reference assumes and what comes later. Server and client number them alike, so both can show the
+same splats.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from cags_common.bundle.codecs import TileCodec
 from cags_common.bundle.manifest import Manifest
 from cags_common.errors import DecodeError
 from cags_common.splats import Ids
+from cags_common.store import gof_tiles
 from cags_common.store.gof_buffer import Changes, Committed, GofBuffer
 from cags_common.store.tile_decode import Arrival, Opener, TileOpener
 from cags_common.tiles.inventory import InventoryEntry
@@ -36,6 +38,7 @@ class TileStore:
         self._gofs: dict[int, GofBuffer] = {}
         self._shown: GofBuffer | None = None
         self._oldest = 0
+        self._whole = manifest.kept_whole
         self._mark = 0
         self._lock = threading.Lock()
 
@@ -111,13 +114,15 @@ class TileStore:
         with self._lock:
             self._gofs.clear()
             self._shown, self._oldest = None, self._manifest.gof_of(frame)
+            self._whole = self._manifest.kept_whole
 
     # ----------------------------------------------------------------------------------------- display (display thread)
 
     def commit(self, frame: int, basis: int | None = None) -> tuple[GofBuffer, Committed]:
         """Show what arrived for ``frame`` up to mark ``basis`` (None: everything).
 
-        Until a frame of its group is complete, the last frame of the group before stays on display (``missed``).
+        Until a frame of its group is complete, the last frame of the group before stays on display (``missed``); where
+        the clip is kept whole, the one before the first group is the last.
         Tiles shown by an earlier commit stay even if they arrived after ``basis``, unless playback went back.
         """
         gof = self._manifest.gof_of(frame)
@@ -125,11 +130,11 @@ class TileStore:
         wanted = self._store(frame)
         assert wanted is not None, "frames are committed in order within a pass; reset() starts another"
         begun = None
-        for number, store in sorted(self._by_number(gof), reverse=True):
-            made[store] = store.commit(min(frame, self._manifest.gof_frames(number)[-1]), basis)
+        for number, store in self._back_from(gof):
+            made[store] = store.commit(frame if number == gof else self._manifest.gof_frames(number)[-1], basis)
             if store.begun:
                 begun = store
-                self._drop_before(number)
+                self._show_group(number, gof)
                 break
         shown = begun or self._shown or wanted
         none = np.zeros(0, np.intp)
@@ -138,11 +143,20 @@ class TileStore:
         missed = shown is not wanted or not changes.whole
         return shown, Committed(gof, changes.rows, changes.began, changes.moved, fresh, missed)
 
-    def _drop_before(self, gof: int) -> None:
+    def _show_group(self, gof: int, wanted: int) -> None:
+        """Group ``gof`` is on display in place of ``wanted``: past ones are dropped; where the clip is kept whole, the
+        others rest.
+        """
         with self._lock:
             self._oldest = gof
-            for old in [g for g in self._gofs if g < gof]:
-                del self._gofs[old]
+            stores = self._gofs.values()
+            kept = sum(store.kept_splats for store in stores) if self._opener.bounded else 0
+            self._whole &= all(store.keeps for store in stores) and kept <= gof_tiles.MAX_KEPT_SPLATS
+            for number in [number for number in self._gofs if number not in (gof, wanted)]:
+                if self._whole:
+                    self._gofs[number].rest()
+                elif number < gof:
+                    del self._gofs[number]
 
     def move(self, frame: int, share: float) -> tuple[GofBuffer, Committed] | None:
         """Move the displayed splats to their place ``share`` frames after ``frame``; None unless ``frame`` was the last
@@ -163,9 +177,15 @@ class TileStore:
         return self._shown
 
     @property
-    def keeps(self) -> bool:
-        """Whether every frame of the displayed group that was sent once can be shown again."""
-        return self._shown is None or self._shown.keeps
+    def kept(self) -> range:
+        """Frames among which playback can jump and go on with what is held of them: those of the clip, of the displayed
+        group, or none.
+        """
+        if self._whole and all(store.keeps for store in self._stores()):
+            return range(self._manifest.frames)
+        if self._shown is None or self._shown.keeps:
+            return self._manifest.gof_frames(self._oldest)
+        return range(0)
 
     def capacity(self, frame: int) -> int:
         """One more than the largest splat id in the group of ``frame``. Raises :class:`DecodeError`."""
@@ -173,17 +193,13 @@ class TileStore:
         return self._manifest.capacity[self._manifest.gof_of(frame)]
 
     def reaches(self, frame: int) -> bool:
-        """Whether ``frame`` can still be committed: its group is not past."""
-        return self._manifest.gof_of(frame) >= self._oldest
+        """Whether ``frame`` can still be committed: its group has not been dropped."""
+        return self._whole or self._manifest.gof_of(frame) >= self._oldest
 
     @property
     def nbytes(self) -> int:
         """Memory of the splats by id, bytes."""
         return sum(store.nbytes for store in self._stores())
-
-    def in_group(self, frame: int) -> bool:
-        """Whether ``frame`` belongs to the displayed group."""
-        return self._manifest.gof_of(frame) == self._oldest
 
     def holds(self, frame: int) -> bool:
         """Whether ``frame`` can be shown completely without further data."""
@@ -206,16 +222,18 @@ class TileStore:
         with self._lock:
             return list(self._gofs.values())
 
-    def _by_number(self, last: int) -> list[tuple[int, GofBuffer]]:
-        """Forget groups up to ``last``."""
+    def _back_from(self, gof: int) -> list[tuple[int, GofBuffer]]:
+        """The held groups from ``gof`` on, each followed by the one that is displayed before it."""
+        count = len(self._manifest.gof_starts)
         with self._lock:
-            return [(gof, store) for gof, store in self._gofs.items() if gof <= last]
+            there = [(number, store) for number, store in self._gofs.items() if self._whole or number <= gof]
+        return sorted(there, key=lambda each: (gof - each[0]) % count)
 
     def _store(self, frame: int) -> GofBuffer | None:
         self._check(frame)
         gof = self._manifest.gof_of(frame)
         with self._lock:
-            if gof < self._oldest:
+            if gof < self._oldest and not self._whole:
                 return None
             if gof not in self._gofs:
                 self._gofs[gof] = GofBuffer(self._manifest, gof, self._opener, self._mark)

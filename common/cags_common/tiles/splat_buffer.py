@@ -97,6 +97,10 @@ class _Motion:
         again = self.shown is not None and self.shown[0] == start and not self.dirty
         return tile.in_motion() if again else tile
 
+    def release(self) -> None:
+        """Free what is worked out for its evaluation."""
+        self._tile = None
+
     def settled(self, start: int, time: float) -> bool:
         """Whether the chunk from ``start`` is already displayed as of ``time``."""
         if self.dirty or self.updated or self.shown is None or self.shown[0] != start:
@@ -169,6 +173,15 @@ class SplatBuffer:
         arrays += [array for name in ("_still", "_updated") for array in made.get(name, {}).values()]
         arrays += [array for _, array in made["splats"].arrays()] if "splats" in made else []
         return sum(held.nbytes for held in (*arrays, *made.get("_ramps", {}).values()))
+
+    def release(self) -> None:
+        """Free the rows, as if nothing had been written, but keep the tiles and their motion. :meth:`clear` before
+        anything is written again.
+        """
+        for name in ("splats", "_still", "owner", "_source", "_removed_at", "_updated", "_ramps"):
+            vars(self).pop(name, None)
+        for motion in self._motions.values():
+            motion.release()
 
     def add(self, slot: Slot) -> None:
         """Add a tile of looks before it is written; its index is ``len(self.slots)``."""

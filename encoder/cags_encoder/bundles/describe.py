@@ -28,6 +28,7 @@ def summarise(reader: BundleReader, url: str) -> Description:
         "frames": manifest.frames,
         "fps": manifest.fps,
         "groups": len(manifest.gof_starts),
+        "kept_whole": manifest.kept_whole,
         "lods": manifest.lods,
         "codec": manifest.codec,
         "quantiser": manifest.quantiser,
@@ -85,6 +86,8 @@ def describe(reader: BundleReader, url: str) -> Description:
 def lines(found: Description) -> Iterator[str]:
     """:func:`describe` as text."""
     frames, groups = counted(found["frames"], "frame"), counted(found["groups"], "group")
+    if found["groups"] > 1:
+        groups += " that clients keep" if found["kept_whole"] else " that clients drop when they are past"
     yield (
         f"{found['out']}: {found['name']!r}, {frames} at {found['fps']:g} fps in {groups}, "
         f"SH degree {found['sh_degree']}, codec {' '.join(filter(None, (found['codec'], found['quantiser'])))}"

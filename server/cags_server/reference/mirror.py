@@ -127,14 +127,14 @@ class Mirror:
 
     def _forget_groups(self) -> None:
         """Forget groups of frames that can no longer be displayed, and repeated ends of frames."""
-        gof_of = self._library.manifest.gof_of
+        gof_of, whole = self._library.manifest.gof_of, self._library.manifest.kept_whole
         ended = max((gof_of(event.frame) for _, event in self._log if isinstance(event, _End)), default=0)
         kept: deque[tuple[int, _Event]] = deque()
         ends: set[int] = set()
         for mark, event in self._log:
             if isinstance(event, _Restart):
                 ends.clear()
-            elif gof_of(event.frame) < ended - 1 or (isinstance(event, _End) and event.frame in ends):
+            elif (not whole and gof_of(event.frame) < ended - 1) or (isinstance(event, _End) and event.frame in ends):
                 continue
             elif isinstance(event, _End):
                 ends.add(event.frame)

@@ -197,14 +197,18 @@ class TilePlanner:
         )
 
     def _opening_of_next_group(self, record: FrameRecord) -> Ahead | None:
-        """The first frame of the group after that of ``record``; None where the reserve would not reach it yet."""
+        """The first frame of the group after that of ``record``, in a loop after the last one the clip's; None where
+        the reserve would not reach it yet.
+        """
         manifest, timeline = self._library.manifest, self._schedule.timeline
-        first = manifest.gof_frames(manifest.gof_of(record.frame))[-1] + 1
-        if not timeline.playing or not record.ahead.frame < first < manifest.frames:
+        group = manifest.gof_of(record.frame)
+        end = manifest.gof_frames(group)[-1] + 1
+        first = end % manifest.frames if timeline.loop else end
+        if not timeline.playing or manifest.gof_of(record.ahead.frame) != group or first == manifest.frames:
             return None
-        if manifest.capacity[manifest.gof_of(first)] > RESERVED_SPLATS:
+        if manifest.gof_of(first) == group or manifest.capacity[manifest.gof_of(first)] > RESERVED_SPLATS:
             return None
-        display_us = record.ahead.display_us + round((first - record.ahead.frame) * timeline.period_us)
+        display_us = record.ahead.display_us + round((end - record.ahead.frame) * timeline.period_us)
         return Ahead(first, display_us) if self._schedule.reserve.covers(display_us - record.display_us) else None
 
     # ------------------------------------------------------------------------------------------------ what it is given
@@ -285,10 +289,12 @@ class TilePlanner:
         """
         schedule, gof_of = self._schedule, self._library.manifest.gof_of
         after = schedule.media_frame(schedule.ahead(record.tick, schedule.reserve.frames + 2))
-        if after is None or after <= record.frame:  # the clip ends, or begins again
+        if after is None:  # the clip ends
             return False
         if gof_of(after) != gof_of(record.frame):
             return True
+        if after <= record.frame:  # the group begins again
+            return False
         return self._library.tile_map(after).new_splats(record.frame, after) > RESERVED_SPLATS
 
     def _messages(self, decision: Decision, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:

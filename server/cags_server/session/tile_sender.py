@@ -47,7 +47,7 @@ class TileSender:
         """Whether the client holds nothing and must be given a beginning."""
         self._late: list[tuple[int, int]] = []  # looks sent since the last end of a frame
         self.client_keeps = False
-        """Whether the client holds on to a group of frames when it goes back within it."""
+        """Whether the client holds on to what it has when it goes back within the clip, or the group of frames."""
         self._group: int | None = None  # of the frame ended last
         self.forgotten = False
         """Whether the client is to forget what it holds, and has not been told."""
@@ -117,16 +117,17 @@ class TileSender:
         return parts
 
     def enter(self, frame: int) -> None:
-        """A new group of frames has ids of its own, and a client that keeps none forgets everything when the media
-        starts again.
+        """A new group of frames has ids of its own; a client forgets those before the one that it leaves, unless it
+        keeps the clip whole, and one that keeps none forgets everything when the media starts again.
         """
         if self.ended is None:
             return
-        left, entered = self._library.manifest.gof_of(self.ended), self._library.manifest.gof_of(frame)
+        manifest = self._library.manifest
+        left, entered = manifest.gof_of(self.ended), manifest.gof_of(frame)
         if frame >= self.ended:
-            if left != entered:
+            if left != entered and not manifest.kept_whole:
                 self.inventory.forget_before(self._library.gof_start(self.ended))
-        elif self.client_keeps and left == entered:
+        elif self.client_keeps and (left == entered or manifest.kept_whole):
             self.ended = None
         else:
             self.start_anew()
@@ -139,11 +140,12 @@ class TileSender:
             self.ended = min(self.ended, frame)
 
     def jump(self, frame: int) -> None:
-        """The viewer jumps to ``frame``: a client that keeps the group of frames on display still holds it. That group
-        is the one entered last, or the one before.
+        """The viewer jumps to ``frame``: a client that keeps it still holds the clip, or the group of frames on
+        display. That group is the one entered last, or the one before.
         """
-        group, entered = self._library.manifest.gof_of(frame), self._group
-        if self.client_keeps and entered is not None and entered - 1 <= group <= entered:
+        manifest, entered = self._library.manifest, self._group
+        near = entered is not None and entered - 1 <= manifest.gof_of(frame) <= entered
+        if self.client_keeps and (near or manifest.kept_whole):
             self.ended = None
         else:
             self.start_anew()

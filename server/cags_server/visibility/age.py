@@ -27,7 +27,7 @@ class _Versions:
 
 class VersionAge:
     """Looks of each splat that one client holds or is being sent, for the group of frames that was entered last and the
-    one before it, which may still be on display.
+    one before it, which may still be on display; for all groups of a clip that is kept whole.
     """
 
     def __init__(self, library: SceneLibrary) -> None:
@@ -133,12 +133,13 @@ class VersionAge:
         return self._library.entry(frame).tiles[tile].kind == TileKind.LOOKS
 
     def _of(self, frame: int) -> _Versions | None:
-        """Those of the group of ``frame``, which begins if it is a later one than were entered; None if it is past."""
+        """Those of the group of ``frame``, which begins if it is entered for the first time; None if it is past."""
         manifest = self._library.manifest
         group = manifest.gof_of(frame)
-        if group > self._entered:
+        if group not in self._groups and (manifest.kept_whole or group > self._entered):
             self._entered = group
-            self._groups = {number: kept for number, kept in self._groups.items() if number == group - 1}
+            if not manifest.kept_whole:
+                self._groups = {number: kept for number, kept in self._groups.items() if number == group - 1}
             arrived = np.full(manifest.capacity[group], -1, np.int32)
             for key in self._held_of(group):
                 ids = self._library.tile_ids(*key)

@@ -1,7 +1,7 @@
 /** The public part of a bundle's manifest, checked as `cags_common.bundle.manifest` does. */
 import { BundleError } from "../bytes/errors.ts";
 import { canonical } from "../player/vectors.ts";
-import type { AuthorView, Quat, SceneInfo, Vec3 } from "../seam.ts";
+import type { AuthorView, FrameRange, Quat, SceneInfo, Vec3 } from "../seam.ts";
 import { MAX_LODS } from "../wire/limits.ts";
 import { MAX_SPLATS } from "./packing.ts";
 
@@ -9,6 +9,8 @@ export const FORMAT = "cags-bundle";
 export const VERSION = 8;
 const MAX_MANIFEST_BYTES = 16 * 2 ** 20;
 const MAX_FRAMES = 1_000_000;
+/** Largest sum of the groups' capacities of a clip that decoders keep whole. */
+const MAX_WHOLE_SPLATS = 1 << 20;
 const MAX_BASE_BITS = 8;
 const MAX_TITLE = 120;
 const FARTHEST_M = 1e9;
@@ -58,12 +60,15 @@ export function readManifest(data: Uint8Array): Manifest {
 function read(fields: Fields, table: Record<string, unknown>): Manifest {
   const motion = fields.has("motion") ? readMotion(fields.inner("motion")) : undefined;
   const lodOrder = fields.many("lod_order", lodLayer, MAX_LODS - 1);
+  const gofStarts = fields.many("gof_starts", (f) => f.integer("", 0, MAX_FRAMES), MAX_FRAMES);
+  const capacity = fields.many("capacity", (f) => f.integer("", 0, MAX_SPLATS), MAX_FRAMES);
   return {
     name: fields.text("name"),
     fps: fields.number("fps", 1e-3, 1000),
     frames: fields.integer("frames", 1, MAX_FRAMES),
-    gofStarts: fields.many("gof_starts", (f) => f.integer("", 0, MAX_FRAMES), MAX_FRAMES),
-    capacity: fields.many("capacity", (f) => f.integer("", 0, MAX_SPLATS), MAX_FRAMES),
+    gofStarts,
+    capacity,
+    keptWhole: gofStarts.length === 1 || capacity.reduce((sum, rows) => sum + rows, 0) <= MAX_WHOLE_SPLATS,
     shDegree: fields.integer("sh_degree", 0, 3) as 0 | 1 | 2 | 3,
     bounds: fields.corners("bounds"),
     lodOrder,
@@ -112,7 +117,7 @@ export function gofOf(info: Pick<SceneInfo, "gofStarts" | "frames">, frame: numb
 }
 
 /** First frame of a group, and the first one after it. */
-export function gofRange(info: Pick<SceneInfo, "gofStarts" | "frames">, gof: number): readonly [number, number] {
+export function gofRange(info: Pick<SceneInfo, "gofStarts" | "frames">, gof: number): FrameRange {
   return [info.gofStarts[gof]!, info.gofStarts[gof + 1] ?? info.frames];
 }
 

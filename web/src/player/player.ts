@@ -10,7 +10,7 @@ import { atHalfResolution, CLASSIC, type Exactness, type Footprint } from "../gp
 import type { CodedReference, FrameOptions, FrameTimes, Renderer } from "../gpu/renderer.ts";
 import { apart, validShare } from "../playback/reach.ts";
 import { References } from "../playback/references.ts";
-import { type Camera, type FrameUpdate, type Intrinsics, nowUs, type PlayState, type Pose, type PoseSample, type Reference, type SceneInfo, type SceneSource, type SourceError, type SourceEvent, type Status } from "../seam.ts";
+import { type Camera, type FrameUpdate, type Intrinsics, nowUs, type PlayState, type Pose, type PoseSample, type Reference, type SceneInfo, type SceneSource, type SourceError, type SourceEvent, type Status, within } from "../seam.ts";
 import { ReferenceVideo } from "../video/stream.ts";
 import { frameAt, Timeline } from "../wire/timeline.ts";
 import { newestDue, nextDue, Quality } from "./quality.ts";
@@ -525,7 +525,8 @@ export class Player {
   }
 
   #tell(action: PlayState["action"], frame: number, atUs: number): void {
-    const loop = this.loop && this.#source.keeps(frame) && this.info!.gofStarts.length === 1;
+    const [first, end] = this.#source.kept;
+    const loop = this.loop && first === 0 && end >= this.info!.frames;
     const state = { action, frame, atUs, rate: this.rate, loop };
     this.#timeline = this.#timeline.controlled(state);
     this.#nextTick = 0;
@@ -559,7 +560,7 @@ export class Player {
 
   #seekNow(frame: number, now: number): void {
     this.#wanted = null;
-    const keeps = this.#source.keeps(frame);
+    const keeps = within(this.#source.kept, frame);
     this.#video.forget();
     this.#references.reset();
     this.frame = frame;
@@ -596,7 +597,7 @@ export class Player {
 
   #atEnd(): void {
     const told = this.#timeline;
-    const going = told.place.loop && told.place.rate === this.rate && this.#source.keeps(0);
+    const going = told.place.loop && told.place.rate === this.rate && within(this.#source.kept, 0);
     if (!this.loop) this.pause();
     else if (going && nowUs() - told.displayUs(this.#endTick) <= JUMP_US) {
       this.#endTick = told.roundEnd(this.#endTick);

@@ -5,8 +5,8 @@
 import { BundleError, DecodeError } from "../bytes/errors.ts";
 import { readManifest, sceneInfo } from "../decode/manifest.ts";
 import {
-  type Camera, type ConnectOptions, type FrameRequest, type FrameUpdate, type Intrinsics, type LinkState, nowUs, type PlayState,
-  type PoseSample, type Reference, type SceneSource, type SourceEvent,
+  type Camera, type ConnectOptions, type FrameRequest, type FrameUpdate, type Intrinsics, type FrameRange, type LinkState, NO_FRAMES, nowUs, type PlayState,
+  type PoseSample, type Reference, type SceneSource, type SourceEvent, within,
 } from "../seam.ts";
 import { arrivalOf } from "../store/tileStore.ts";
 import { splitLayers } from "../wire/encoding.ts";
@@ -111,7 +111,7 @@ export class LiveSource implements SceneSource {
 
   control(state: KeepingState): void {
     const now = nowUs();
-    const kept = (this.scene?.keeps(state.frame) ?? false) && state.keeps !== false;
+    const kept = within(this.kept, state.frame) && state.keeps !== false;
     if (state.action === "seek" && !kept) this.forget(state.frame);
     else if (state.action === "seek" && this.scene) this.scene.shownFrame = state.frame;
     this.playState = state;
@@ -119,8 +119,8 @@ export class LiveSource implements SceneSource {
     this.wake();
   }
 
-  keeps(frame: number): boolean {
-    return this.scene?.keeps(frame) ?? false;
+  get kept(): FrameRange {
+    return this.scene?.kept ?? NO_FRAMES;
   }
 
   sendPoses(samples: readonly PoseSample[], cadencePermille?: number): void {
@@ -212,7 +212,7 @@ export class LiveSource implements SceneSource {
   private stateOfPlay(now: number): Control | undefined {
     const state = this.playState;
     if (!state || !this.scene) return undefined;
-    const kept = (frame: number): boolean => this.scene!.keeps(frame);
+    const kept = (frame: number): boolean => within(this.kept, frame);
     if (state.action === "pause" || state.action === "seek") {
       return controlOf({ ...state, action: "pause", atUs: now }, kept(state.frame));
     }

@@ -1,5 +1,5 @@
 /** A source in a worker, with the same interface on the page: what `worker.ts` answers. */
-import type { ConnectOptions, FrameRequest, FrameUpdate, Intrinsics, PlayState, PoseSample, SceneInfo, SceneSource, SourceEvent } from "../seam.ts";
+import { type ConnectOptions, type FrameRange, type FrameRequest, type FrameUpdate, type Intrinsics, NO_FRAMES, type PlayState, type PoseSample, type SceneSource, type SourceEvent, within } from "../seam.ts";
 import type { KeepingState } from "./live.ts";
 
 /** What the page asks of the worker. */
@@ -12,10 +12,10 @@ export type Request =
   | { readonly ask: "frame"; readonly number: number; readonly request: FrameRequest }
   | { readonly ask: "close" };
 
-/** What the worker answers. `keeps`: the group of frames on display can be jumped in; undefined: there is none. */
+/** What the worker answers. `kept`: frames among which the play can jump, now that a frame is on display. */
 export type Answer =
   | { readonly tell: "event"; readonly event: SourceEvent }
-  | { readonly tell: "frame"; readonly number: number; readonly update: FrameUpdate; readonly keeps: number | undefined }
+  | { readonly tell: "frame"; readonly number: number; readonly update: FrameUpdate; readonly kept: FrameRange }
   | { readonly tell: "failed"; readonly number: number; readonly message: string };
 
 /** The part of a Worker that is used. */
@@ -38,8 +38,7 @@ export class RemoteSource implements SceneSource {
   private readonly port: Port;
   private readonly waiting = new Map<number, { resolve: (update: FrameUpdate) => void; reject: (error: Error) => void }>();
   private asked = 0;
-  private info: SceneInfo | undefined;
-  private keptGof: number | undefined;
+  private range: FrameRange = NO_FRAMES;
   private failure: string | undefined;
   private closed = false;
   private listen: (event: SourceEvent) => void = () => {};
@@ -57,15 +56,13 @@ export class RemoteSource implements SceneSource {
   }
 
   control(state: PlayState): void {
-    const keeps = this.keeps(state.frame);
+    const keeps = within(this.range, state.frame);
     this.port.postMessage({ ask: "control", state: { ...state, keeps } });
-    if (state.action === "seek" && !keeps) this.keptGof = undefined;
+    if (state.action === "seek" && !keeps) this.range = NO_FRAMES;
   }
 
-  keeps(frame: number): boolean {
-    if (!this.info || this.keptGof === undefined) return false;
-    const start = this.info.gofStarts[this.keptGof]!;
-    return frame >= start && frame < (this.info.gofStarts[this.keptGof + 1] ?? this.info.frames);
+  get kept(): FrameRange {
+    return this.range;
   }
 
   sendPoses(samples: readonly PoseSample[], cadence?: number): void {
@@ -98,14 +95,11 @@ export class RemoteSource implements SceneSource {
   }
 
   private onAnswer(answer: Answer): void {
-    if (answer.tell === "event") {
-      if (answer.event.type === "info") this.info = answer.event.info;
-      return this.listen(answer.event);
-    }
+    if (answer.tell === "event") return this.listen(answer.event);
     const waiting = this.waiting.get(answer.number);
     this.waiting.delete(answer.number);
     if (answer.tell === "failed") return waiting?.reject(new Error(answer.message));
-    this.keptGof = answer.keeps;
+    this.range = answer.kept;
     waiting?.resolve(answer.update);
   }
 

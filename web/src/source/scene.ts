@@ -7,7 +7,7 @@ import type { Kernels } from "../decode/kernels.ts";
 import type { Manifest } from "../decode/manifest.ts";
 import { decodeIds } from "../decode/packing.ts";
 import { SH_REST_OF_DEGREE } from "../decode/splats.ts";
-import type { Camera, FrameRequest, FrameUpdate, Patch } from "../seam.ts";
+import type { Camera, FrameRange, FrameRequest, FrameUpdate, Patch } from "../seam.ts";
 import type { GofBuffer } from "../store/gofBuffer.ts";
 import type { Arrival } from "../store/gofTiles.ts";
 import { LateOpener } from "../store/opener.ts";
@@ -81,9 +81,9 @@ export class SceneStore {
     this.store.end(frame, decodeIds(payload, `removed ids of frame ${frame}`, limit));
   }
 
-  /** Whether a jump to `frame` can go on from what is held. */
-  keeps(frame: number): boolean {
-    return this.store.keeps && this.store.inGroup(frame);
+  /** Frames among which the play can jump and go on with what is held of them. */
+  get kept(): FrameRange {
+    return this.store.kept;
   }
 
   /** The viewer jumped to `frame`: forget everything. */

@@ -6,8 +6,8 @@ import { crc32 } from "../bytes/crc32.ts";
 import { BundleError, DecodeError } from "../bytes/errors.ts";
 import { gofOf, gofRange, type Manifest, readManifest, sceneInfo } from "../decode/manifest.ts";
 import {
-  type Camera, type ConnectOptions, type FrameRequest, type FrameUpdate, type Intrinsics, type LinkState, nowUs, type PlayState, type PoseSample,
-  type SceneSource, type SourceEvent,
+  type Camera, type ConnectOptions, type FrameRequest, type FrameUpdate, type Intrinsics, type FrameRange, type LinkState, NO_FRAMES, nowUs, type PlayState, type PoseSample,
+  type SceneSource, type SourceEvent, within,
 } from "../seam.ts";
 import { viewCone } from "../store/gofBuffer.ts";
 import { arrivalOf } from "../store/tileStore.ts";
@@ -86,7 +86,7 @@ export class StaticSource implements SceneSource {
   control(state: PlayState): void {
     this.state = state;
     if (!this.scene) return;
-    if (state.action === "seek" && !this.scene.keeps(state.frame)) {
+    if (state.action === "seek" && !within(this.scene.kept, state.frame)) {
       this.generation += 1;
       this.first = "missing";
       this.groups.clear();
@@ -97,8 +97,8 @@ export class StaticSource implements SceneSource {
     this.next();
   }
 
-  keeps(frame: number): boolean {
-    return this.scene?.keeps(frame) ?? false;
+  get kept(): FrameRange {
+    return this.scene?.kept ?? NO_FRAMES;
   }
 
   sendPoses(samples: readonly PoseSample[]): void {

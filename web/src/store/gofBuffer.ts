@@ -45,6 +45,7 @@ export class GofBuffer {
   private frame = -1;
   private horizon = -1;
   private rewound = false;
+  private resting = false;
   private ends = new Set<number>(); // not yet shown
   private readonly ended = new Map<number, End>();
 
@@ -73,6 +74,11 @@ export class GofBuffer {
 
   get keeps(): boolean {
     return this.tiles.keeps;
+  }
+
+  /** Splats held for a replay alone; motion and updates count as the splats that take as much memory. */
+  get keptSplats(): number {
+    return this.tiles.keptSplats;
   }
 
   // ------------------------------------------------------------------------------------------------------------ arrival
@@ -108,7 +114,7 @@ export class GofBuffer {
   commit(frame: number, basis?: number): Changes {
     const limit = basis ?? Infinity;
     const horizon = this.newestEnd(frame, limit);
-    if (frame < this.frame) this.rewind(horizon, limit);
+    if (frame < this.frame || this.resting) this.rewind(horizon, limit);
     this.frame = frame;
     this.horizon = Math.max(this.horizon, horizon);
     const ends = this.due(horizon, limit);
@@ -132,6 +138,13 @@ export class GofBuffer {
     this.forgetPast(frame, updates.length + ends.length > 0);
     const rows = where(touched, 1);
     return { rows, began: rows.map((row) => began[row]!), moved: where(touched, 2), whole: this.whole };
+  }
+
+  /** Another group is on display: free the splats until the next {@link commit}, which replays held tiles. */
+  rest(): void {
+    if (this.frame < 0 || this.resting) return;
+    this.buffer.dispose();
+    this.resting = true;
   }
 
   /** Show the splats on display where they are at `time`, after the frame that was committed; the rows that moved. */
@@ -190,7 +203,7 @@ export class GofBuffer {
     this.coarse.clear();
     this.ends = new Set(this.ended.keys());
     this.rewound = true;
-    this.begun = false;
+    this.resting = this.begun = false;
     this.horizon = -1;
   }
 

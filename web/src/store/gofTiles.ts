@@ -17,7 +17,7 @@ import { type Layer, WaitingLayers } from "./reorderBuffer.ts";
 
 const MAX_LATE_BYTES = 8 << 20;
 const MAX_TILES_PER_GOF = 1 << 17;
-const MAX_KEPT_SPLATS = 1 << 22;
+export const MAX_KEPT_SPLATS = 1 << 22;
 const KEPT_SPLAT_BYTES = 40;
 /** Frames ahead of the display whose kept tiles are dequantised off the display path. */
 const REPLAY_AHEAD = 8;
@@ -50,7 +50,7 @@ export class GofTiles {
   private readonly motions = new Motions();
   private readonly late = new Map<Key, { mark: number; lod: number; payload: Uint8Array }[]>();
   private readonly replay = new Map<Key, StoredTile>();
-  private keptSplats = 0;
+  private replacedSplats = 0;
   private lateBytes = 0;
   private motionBytes = 0;
   private updatedSplats = 0;
@@ -276,9 +276,13 @@ export class GofTiles {
     }
   }
 
+  /** Splats held for a replay alone; motion and updates count as the splats that take as much memory. */
+  get keptSplats(): number {
+    return this.replacedSplats + this.updatedSplats + Math.floor(this.motionBytes / KEPT_SPLAT_BYTES);
+  }
+
   private boundKept(): void {
-    const besides = this.updatedSplats + Math.floor(this.motionBytes / KEPT_SPLAT_BYTES);
-    if (this.keeps && this.keptSplats + besides > MAX_KEPT_SPLATS) this.stopKeeping();
+    if (this.keeps && this.keptSplats > MAX_KEPT_SPLATS) this.stopKeeping();
   }
 
   // ------------------------------------------------------------------------------------------------------------ staging
@@ -381,7 +385,7 @@ export class GofTiles {
     }
     this.staged.clear();
     this.touched.clear();
-    this.keptSplats = this.lateBytes = 0;
+    this.replacedSplats = this.lateBytes = 0;
     return this.motions.looks();
   }
 
@@ -402,7 +406,7 @@ export class GofTiles {
     held.replaced = true;
     const past = this.motions.of(held.key);
     for (const motion of past) this.retire(motion);
-    this.keptSplats += held.versions.newest.length;
+    this.replacedSplats += held.versions.newest.length;
     if (!this.keeps) this.tiles.set(held.key, null);
     this.boundKept();
     return past;

@@ -90,7 +90,8 @@ export class SplatBuffer {
     this.onReplaced = onReplaced;
   }
 
-  /** Free what the kernels keep; nothing may be shown after it. */
+  /** Free what the kernels keep, as if nothing had been written; the tiles stay, and their motion. {@link clear} before
+   * anything is written again. */
   dispose(): void {
     for (const motion of this.motions.values()) motion.dispose();
     for (const at of [...Object.values(this.columns ?? {}), ...Object.values(this.still ?? {})]) this.kernels.free(at);

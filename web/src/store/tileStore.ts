@@ -1,10 +1,12 @@
-/** What is held of a scene: a {@link GofBuffer} a group of frames; as `cags_common.store.tile_store`. */
+/** What is held of a scene: a {@link GofBuffer} a group of frames; as `cags_common.store.tile_store`. A group is dropped
+ * when the next one is first shown, except in a small clip, which is kept whole. */
 import { BundleError, DecodeError } from "../bytes/errors.ts";
 import type { Opener } from "./opener.ts";
 import { gofOf, gofRange, type Manifest } from "../decode/manifest.ts";
+import { type FrameRange, NO_FRAMES } from "../seam.ts";
 import type { HeldTile } from "../wire/messages.ts";
 import { type Changes, GofBuffer } from "./gofBuffer.ts";
-import type { Arrival } from "./gofTiles.ts";
+import { type Arrival, MAX_KEPT_SPLATS } from "./gofTiles.ts";
 import { frameOf, type Key, keyOf } from "./keys.ts";
 
 /** What became visible; all rows where the group is new. */
@@ -27,11 +29,13 @@ export class TileStore {
   private readonly alive = new Set<GofBuffer>();
   private shown: GofBuffer | undefined;
   private oldest = 0;
+  private whole: boolean;
   private newestMark = 0;
 
   constructor(manifest: Manifest, codec: Opener) {
     this.manifest = manifest;
     this.codec = codec;
+    this.whole = manifest.keptWhole;
   }
 
   // ------------------------------------------------------------------------------------------------------------ arrival
@@ -93,25 +97,29 @@ export class TileStore {
     this.gofs.clear();
     this.shown = undefined;
     this.oldest = gofOf(this.manifest, frame);
+    this.whole = this.manifest.keptWhole;
     this.sweep();
   }
 
   // ------------------------------------------------------------------------------------------------------------ display
 
   /** Make what came up to mark `basis` (undefined: everything) for `frame` visible. While nothing of its group is whole,
-   * the group before stays on display as of its last frame. */
+   * the group before stays on display as of its last frame; where the clip is kept whole, the one before the first group
+   * is the last. */
   commit(frame: number, basis?: number): [GofBuffer, Committed] {
     const gof = this.checkedGof(frame);
     const made = new Map<GofBuffer, Changes>();
     const wanted = this.store(frame);
     if (!wanted) throw new RangeError(`frame ${frame} is past: a jump back begins with a reset`);
     let begun: GofBuffer | undefined;
-    for (const number of [...this.gofs.keys()].filter((n) => n <= gof).sort((a, b) => b - a)) {
+    const count = this.manifest.gofStarts.length;
+    const there = [...this.gofs.keys()].filter((n) => this.whole || n <= gof);
+    for (const number of there.sort((a, b) => ((gof - a + count) % count) - ((gof - b + count) % count))) {
       const store = this.gofs.get(number)!;
-      made.set(store, store.commit(Math.min(frame, gofRange(this.manifest, number)[1] - 1), basis));
+      made.set(store, store.commit(number === gof ? frame : gofRange(this.manifest, number)[1] - 1, basis));
       if (!store.begun) continue;
       begun = store;
-      this.dropBefore(number);
+      this.showGroup(number, gof);
       break;
     }
     const shown = begun ?? this.shown ?? wanted;
@@ -131,9 +139,17 @@ export class TileStore {
     return [store, { gof: gofOf(this.manifest, frame), rows: NONE, began: NONE, moved, fresh: false, missed: !store.whole }];
   }
 
-  private dropBefore(gof: number): void {
+  /** Group `gof` is on display in place of `wanted`: past ones are dropped; where the clip is kept whole, the others rest. */
+  private showGroup(gof: number, wanted: number): void {
     this.oldest = gof;
-    for (const old of [...this.gofs.keys()]) if (old < gof) this.gofs.delete(old);
+    const stores = [...this.gofs.values()];
+    const kept = stores.reduce((sum, store) => sum + store.keptSplats, 0);
+    this.whole &&= stores.every((store) => store.keeps) && kept <= MAX_KEPT_SPLATS;
+    for (const [number, store] of [...this.gofs]) {
+      if (number === gof || number === wanted) continue;
+      if (this.whole) store.rest();
+      else if (number < gof) this.gofs.delete(number);
+    }
   }
 
   // ------------------------------------------------------------------------------------------------------------ figures
@@ -142,19 +158,16 @@ export class TileStore {
     return this.shown;
   }
 
-  /** Whether every frame of the group on display that was sent once can be shown again. */
-  get keeps(): boolean {
-    return this.shown?.keeps ?? true;
+  /** Frames among which the play can jump and go on with what is held of them: those of the clip, of the group on
+   * display, or none. */
+  get kept(): FrameRange {
+    if (this.whole && [...this.gofs.values()].every((store) => store.keeps)) return [0, this.manifest.frames];
+    return this.shown?.keeps ?? true ? gofRange(this.manifest, this.oldest) : NO_FRAMES;
   }
 
   /** One more than the largest splat id in the group of `frame`. Raises {@link DecodeError}. */
   capacity(frame: number): number {
     return this.manifest.capacity[this.checkedGof(frame)]!;
-  }
-
-  /** Whether `frame` is of the group on display. */
-  inGroup(frame: number): boolean {
-    return gofOf(this.manifest, frame) === this.oldest;
   }
 
   /** Whether `frame` can be shown whole without anything from the network. */
@@ -183,7 +196,7 @@ export class TileStore {
 
   private store(frame: number): GofBuffer | undefined {
     const gof = this.checkedGof(frame);
-    if (gof < this.oldest) return undefined;
+    if (gof < this.oldest && !this.whole) return undefined;
     let store = this.gofs.get(gof);
     if (!store) this.gofs.set(gof, (store = this.living(new GofBuffer(this.manifest, gof, this.codec, this.newestMark))));
     return store;

@@ -3,14 +3,14 @@ import { test } from "node:test";
 import { setTimeout as sleep } from "node:timers/promises";
 import type { Renderer } from "../../src/gpu/renderer.ts";
 import { Player, type PlayerOptions } from "../../src/player/player.ts";
-import { type FrameRequest, type FrameUpdate, type Intrinsics, nowUs, type PlayState, type Pose, type Reference, type SceneInfo, type SceneSource, type SourceError } from "../../src/seam.ts";
+import { type FrameRange, type FrameRequest, type FrameUpdate, type Intrinsics, NO_FRAMES, nowUs, type PlayState, type Pose, type Reference, type SceneInfo, type SceneSource, type SourceError } from "../../src/seam.ts";
 
 const FPS = 100;
 const FRAMES = 60;
 const POSE: Pose = { position: [0, 0, 0], rotation: [1, 0, 0, 0] };
 const INTRINSICS: Intrinsics = { widthPx: 16, heightPx: 12, fxPx: 9, fyPx: 9, cxPx: 8, cyPx: 6 };
 const INFO = {
-  name: "x", fps: FPS, frames: FRAMES, gofStarts: [0], capacity: [1], shDegree: 0, bounds: [[0, 0, 0], [1, 1, 1]], lods: 1,
+  name: "x", fps: FPS, frames: FRAMES, gofStarts: [0], capacity: [1], keptWhole: true, shDegree: 0, bounds: [[0, 0, 0], [1, 1, 1]], lods: 1,
   codec: "svq", up: [0, 1, 0], focusCentre: [0, 0, 0], focusRadius: 1, near: 0.1, moves: false, manifest: {},
 } as const;
 
@@ -18,13 +18,10 @@ class Source implements SceneSource {
   readonly told: PlayState[] = [];
   readonly asked: FrameRequest[] = [];
   closed = 0;
-  kept = true;
+  kept: FrameRange = [0, Infinity];
   connect(): void {}
   control(state: PlayState): void {
     this.told.push(state);
-  }
-  keeps(): boolean {
-    return this.kept;
   }
   sendPoses(): void {}
   requestKeyframe(): void {}
@@ -166,7 +163,7 @@ test("who asks to play while a frame is sought sees that frame first", async () 
   page.whole(0);
   await page.until("a frame", () => (page.player.shown?.frame ?? 0) >= 5);
   page.player.pause();
-  page.source.kept = false;
+  page.source.kept = NO_FRAMES;
   page.player.seek(30);
   await page.until("the jump", () => page.actions.at(-1) === "seek");
   page.player.play();

@@ -27,7 +27,7 @@ test("memory goes back to the worker with the next question", async () => {
   assert.equal(block.byteLength, 0, "it is the worker's now");
   const [asked] = port.asked as [Extract<Request, { ask: "frame" }>];
   assert.deepEqual(asked.request.spent!.map(({ byteLength }) => byteLength), [64]);
-  port.answer({ tell: "frame", number: asked.number, update, keeps: undefined });
+  port.answer({ tell: "frame", number: asked.number, update, kept: [0, 5] });
   assert.equal(await coming, update);
 });
 
@@ -36,7 +36,7 @@ test("a frame that fails is told to whoever asked for it, and no other", async (
   const source = new RemoteSource(port);
   const [first, second] = [source.frame({ frame: 0 }), source.frame({ frame: 1 })];
   port.answer({ tell: "failed", number: 1, message: "no such frame" });
-  port.answer({ tell: "frame", number: 2, update, keeps: undefined });
+  port.answer({ tell: "frame", number: 2, update, kept: [0, 5] });
   await assert.rejects(first, /no such frame/);
   assert.equal(await second, update);
 });

@@ -15,6 +15,7 @@ interface Step {
 }
 
 interface Script {
+  whole: boolean;
   manifest: string;
   codebooks: string;
   steps: Step[];
@@ -39,7 +40,7 @@ function shown(store: TileStore, gof: GofBuffer, committed: Committed): Record<s
     rows: [...committed.rows],
     began: [...committed.began],
     moved: [...committed.moved],
-    flags: [committed.gof, committed.fresh, committed.missed, gof.full, store.keeps],
+    flags: [committed.gof, committed.fresh, committed.missed, gof.full, ...store.kept],
     held: store.held().map((t) => [t.frame, t.tile, t.lods]).sort((a, b) => a[0]! - b[0]! || a[1]! - b[1]!),
     ahead: store.ahead(0),
     dropped: store.takeDropped().length,
@@ -93,7 +94,8 @@ function ended(store: TileStore, frame: number, removed: number[]): number {
 test("after every step the store shows what Python's shows", async () => {
   const [wasm, decoder] = [await kernels(), await draco()];
   for (const [i, script] of vectors<Script[]>("scripts").entries()) {
-    const manifest = readManifest(new TextEncoder().encode(script.manifest));
+    const read = readManifest(new TextEncoder().encode(script.manifest));
+    const manifest = { ...read, keptWhole: read.keptWhole && (script.whole || read.gofStarts.length === 1) };
     const codec = new TileCodec(manifest, fromBase64(script.codebooks), wasm, decoder);
     const store = new TileStore(manifest, codec);
     for (const [at, step] of script.steps.entries()) {

@@ -63,11 +63,8 @@ class FakePipeline:
         self.resets: list[int] = []
         self.jumps = 0
         self.settings = ClientSettings()
-        self.kept = False
+        self.kept = range(0)
         self.held: set[int] = set()
-
-    def keeps(self, frame: int) -> bool:
-        return self.kept
 
     def holds(self, frame: int) -> bool:
         return frame in self.held
@@ -266,7 +263,7 @@ def test_who_asks_to_play_while_a_frame_is_sought_sees_that_frame_first(stage: S
 
 
 def test_what_is_held_loops_without_a_break_and_without_a_word(stage: Stage) -> None:
-    stage.pipeline.kept = True
+    stage.pipeline.kept = range(FRAMES)
     stage.player.set_rate(1.0, stage.now_us)
     said = len(stage.session.controls)
     assert stage.session.controls[-1].loop
@@ -282,7 +279,7 @@ def test_what_is_held_loops_without_a_break_and_without_a_word(stage: Stage) -> 
 
 
 def test_a_speed_that_was_wished_at_the_last_frame_of_a_round_holds_in_the_next(stage: Stage) -> None:
-    stage.pipeline.kept = True
+    stage.pipeline.kept = range(FRAMES)
     stage.player.set_rate(1.0, stage.now_us)
     while stage.turn() != FRAMES - 2:
         stage.now_us += 5_000
@@ -321,7 +318,7 @@ def test_a_play_that_was_taken_over_goes_on_where_it_stood(stage: Stage) -> None
 
 
 def test_rounds_that_were_slept_through_are_not_made_up_for(stage: Stage) -> None:
-    stage.pipeline.kept = True
+    stage.pipeline.kept = range(FRAMES)
     stage.player.set_rate(1.0, stage.now_us)
     stage.run(DELAY_US + 0.5 * FRAMES * FRAME_US)
     stage.now_us += 11 * 86_400 * 1_000_000
@@ -331,17 +328,17 @@ def test_rounds_that_were_slept_through_are_not_made_up_for(stage: Stage) -> Non
 
 
 def test_a_store_that_can_keep_no_more_loops_by_a_seek(stage: Stage) -> None:
-    stage.pipeline.kept = True
+    stage.pipeline.kept = range(FRAMES)
     stage.player.set_rate(1.0, stage.now_us)
     stage.run(DELAY_US + 0.5 * FRAMES * FRAME_US)
-    stage.pipeline.kept = False
+    stage.pipeline.kept = range(0)
     stage.run(0.6 * FRAMES * FRAME_US)
     assert stage.pipeline.resets == [0]
     assert not stage.session.controls[-1].keeps
 
 
 def test_a_jump_to_what_is_held_does_not_wait(stage: Stage) -> None:
-    stage.pipeline.kept, stage.pipeline.held = True, {3}
+    stage.pipeline.kept, stage.pipeline.held = range(FRAMES), {3}
     stage.run(DELAY_US + 5 * FRAME_US)
     stage.player.seek(3)
     assert stage.run(DELAY_US + 2.5 * FRAME_US)[:2] == [3, 4]

@@ -4,7 +4,7 @@ from dataclasses import replace
 import pytest
 
 from cags_common.bundle import LodLayer, Manifest
-from cags_common.bundle.manifest import FileEntry, GofFiles
+from cags_common.bundle.manifest import MAX_WHOLE_SPLATS, FileEntry, GofFiles
 from cags_common.bundle.tracks import ChangedShares, TrackStatistics
 from cags_common.errors import BundleError
 from cags_common.tiles.lod import MAX_LODS
@@ -55,6 +55,13 @@ def test_frames_know_their_group() -> None:
     assert list(MANIFEST.gof_frames(1)) == [3, 4]
     with pytest.raises(BundleError, match="frame 5 is outside"):
         MANIFEST.gof_of(5)
+
+
+def test_a_small_clip_is_kept_whole_and_so_is_one_of_a_single_group() -> None:
+    half = MAX_WHOLE_SPLATS // 2
+    assert replace(MANIFEST, capacity=(half, half)).kept_whole
+    assert not replace(MANIFEST, capacity=(half, half + 1)).kept_whole
+    assert replace(MANIFEST, gof_starts=(0,), capacity=(MAX_WHOLE_SPLATS + 1,)).kept_whole
 
 
 def test_unknown_fields_are_left_alone() -> None:

@@ -229,7 +229,7 @@ def test_what_was_given_up_may_come_again_over_another_connection(
     store.add(1, 0, 0, [base([0], 6)])
     store.end(1, removed())
     store.commit(1)
-    assert not store.keeps
+    assert not store.kept
     store.restarted()
     assert store.held() == [InventoryEntry(1, 0, 1)]
     store.add(0, 0, 0, [base([0], 5)])

@@ -356,7 +356,7 @@ def test_what_is_kept_of_motion_and_updates_is_bounded(
 ) -> None:
     monkeypatch.setattr("cags_common.store.gof_tiles.MAX_KEPT_SPLATS", least)
     walk(store)
-    assert not store.keeps
+    assert not store.kept
     assert not store.holds(0)
     send(store, 2, 1, looks([0], 9))
     gof = store.commit(LAST)[0]

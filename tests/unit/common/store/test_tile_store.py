@@ -142,6 +142,88 @@ def test_the_old_group_stays_on_display_until_something_of_the_new_one_is_whole(
     assert gof.splats.means[0, 0] == 7
 
 
+def two_groups(store: TileStore) -> None:
+    """The first with splat 0 at 1, then at 2; the other at 7, then at 8."""
+    for frame, value in ((0, 1), (2, 2), (4, 7), (6, 8)):
+        store.add(frame, 0, 0, [base([0], value)])
+        store.end(frame, removed())
+
+
+def test_a_clip_that_is_kept_whole_is_shown_again_in_any_order(store: TileStore) -> None:
+    two_groups(store)
+    for _ in range(3):
+        for frame, x in ((0, 1), (2, 2), (4, 7), (6, 8)):
+            gof, committed = store.commit(frame)
+            assert (gof.splats.means[0, 0], committed.fresh, committed.missed) == (x, frame in (0, 4), False)
+    assert store.kept == range(8)
+    for frame, x in ((3, 2), (6, 8), (0, 1), (5, 7)):
+        assert xs(store, frame)[0] == x
+    assert store.reaches(0) and store.holds(6)
+
+
+def test_what_comes_for_a_group_that_rests_is_shown_with_it(store: TileStore) -> None:
+    two_groups(store)
+    store.commit(0)
+    store.commit(4)
+    resting = store.nbytes
+    store.add(0, 0, 1, [layer(1, 1)])
+    store.add(2, 1, 0, [base([1], 3)])
+    assert store.nbytes == resting
+    gof, _ = store.commit(2)
+    assert gof.splats.means[:2, 0].tolist() == [2, 3]
+    assert gof.shown.tiles[0].key == (0, 0)
+    assert xs(store, 6)[:2] == [8, -1]
+
+
+def test_a_group_that_rests_takes_no_memory_for_its_splats(store: TileStore) -> None:
+    two_groups(store)
+    store.commit(0)
+    one = store.nbytes
+    for frame in (4, 0, 6, 2):
+        store.commit(frame)
+        assert store.nbytes == one
+
+
+def test_before_the_first_group_of_a_clip_that_is_kept_whole_the_last_one_is_shown(store: TileStore) -> None:
+    """A play that began in the second group comes to the first one in a loop, before anything of it is there."""
+    store.add(4, 0, 0, [base([0], 7)])
+    store.end(4, removed())
+    store.add(6, 0, 0, [base([0], 8)])
+    store.end(6, removed())
+    store.commit(7)
+    gof, committed = store.commit(0)
+    assert committed.missed and not committed.fresh
+    assert gof.splats.means[0, 0] == 8
+    store.add(0, 0, 0, [base([0], 1)])
+    store.end(0, removed())
+    assert xs(store, 0)[0] == 1
+    assert xs(store, 4)[0] == 7, "as of that frame, not of the one that stayed on display"
+
+
+def test_a_large_clip_drops_the_groups_that_are_past(store: TileStore, groups_pass: None) -> None:
+    store = TileStore(manifest(), SvqTileCodec(manifest(), books().to_bytes()))
+    two_groups(store)
+    store.commit(0)
+    assert store.kept == range(4)
+    store.commit(4)
+    assert store.kept == range(4, 8)
+    assert not store.reaches(3)
+    assert {tile.frame for tile in store.held()} == {4, 6}
+
+
+def test_a_clip_whose_groups_together_are_too_much_is_kept_no_more(
+    store: TileStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cags_common.store.gof_tiles.MAX_KEPT_SPLATS", 1)
+    two_groups(store)
+    store.commit(2)
+    store.commit(6)
+    assert store.kept == range(4, 8), "each group alone is within the bound"
+    assert {tile.frame for tile in store.held()} == {4, 6}
+    store.reset(1)
+    assert store.kept == range(8), "from the beginning"
+
+
 def test_damage_is_refused_and_what_was_held_stays(store: TileStore) -> None:
     store.add(0, 0, 0, [base([0], 1)])
     store.end(0, removed())
@@ -211,7 +293,7 @@ def test_what_is_kept_for_a_replay_is_bounded(
     replaced_thrice(store)
     store.add(0, 0, 1, [layer(2, 1)])
     gof, _ = store.commit(3)
-    assert not store.keeps
+    assert not store.kept
     assert not store.holds(0)
     assert sum(held is not None for held in gof._tiles._tiles.values()) == 2
     assert not gof._tiles._late

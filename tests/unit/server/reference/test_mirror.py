@@ -72,7 +72,7 @@ def test_what_is_sent_after_a_mark_is_not_in_it(library: SceneLibrary) -> None:
     assert [mirror.mark() for _ in range(3)] == [3, 4, 5]
 
 
-def test_a_restart_forgets_what_was_sent_and_what_was_shown(library: SceneLibrary) -> None:
+def test_a_restart_forgets_what_was_sent_and_what_was_shown(library: SceneLibrary, groups_pass: None) -> None:
     mirror = Mirror(library, threads=1)
     send(mirror, library, 0)
     end(mirror, library, 0)
@@ -184,7 +184,7 @@ def test_a_damaged_payload_fails_those_who_want_it_and_may_be_tried_again(
 
 
 def test_what_waits_for_a_reference_is_forgotten_with_its_group(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, groups_pass: None
 ) -> None:
     of = moving(manifest(frames=9, starts=(0, 3, 6)))
     long = served(written(tmp_path, of, random_frames(np.random.default_rng(1), of)).reader, 1 << 20)

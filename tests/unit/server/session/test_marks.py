@@ -91,12 +91,21 @@ def test_a_jump_is_answered_by_a_restart_where_the_client_forgets(keeps: bool) -
     assert sum(mark.restart for mark in rig.marks) == (not keeps)
 
 
-def test_a_jump_to_another_group_is_answered_by_a_restart_whatever_the_client_keeps() -> None:
+def test_a_jump_to_another_group_is_answered_by_a_restart_whatever_the_client_keeps(groups_pass: None) -> None:
     rig = Rig()
     rig.play()
     rig.step()
     rig.control("seek", 9, 900_000, keeps=True)
     assert rig.marks[-1].restart
+
+
+@pytest.mark.parametrize("keeps", [False, True])
+def test_a_jump_within_a_clip_that_is_kept_whole_is_answered_by_a_restart_where_the_client_asks(keeps: bool) -> None:
+    rig = Rig()
+    rig.play()
+    rig.step()
+    rig.control("seek", 9, 900_000, keeps=keeps)
+    assert any(mark.restart for mark in rig.marks) is not keeps
 
 
 def test_a_restart_goes_before_what_follows_the_jump() -> None:

@@ -228,3 +228,25 @@ def test_the_next_group_waits_for_its_turn(why: str, monkeypatch: pytest.MonkeyP
     rig.control("pause", 17, 900_000, keeps=True)
     rig.step()
     assert rig.streamer.next_opening is None
+
+
+@pytest.mark.parametrize("loop", [True, False])
+def test_in_a_loop_the_last_group_is_followed_by_the_first(loop: bool) -> None:
+    rig = Rig(RESERVED, frames=40, gof=20)
+    rig.control("play", 20, 300_000, loop=loop, keeps=True)
+    out = [each for _ in range(30 if loop else 19) for each in rig.step()]
+    first = [n for n, each in enumerate(out) if isinstance(each.message, TileLayers) and each.message.frame == 0]
+    assert bool(first) is loop
+    if loop:
+        end = next(n for n, each in enumerate(out) if isinstance(each.message, FrameEnd) and each.message.frame == 0)
+        assert first[-1] < end, "all of them before it is due"
+
+
+def test_a_loop_of_a_clip_that_is_kept_whole_brings_nothing_twice() -> None:
+    rig = Rig(RESERVED, frames=40, gof=20)
+    rig.control("play", 0, 300_000, loop=True, keeps=True)
+    sent = [each for _ in range(100) for each in rig.step()]
+    tiles = [(tile.frame, tile.tile, lod) for tile in of(TileLayers, sent) for lod in range(tile.from_lod, tile.to_lod)]
+    assert len(tiles) == len(set(tiles))
+    assert {frame for frame, *_ in tiles} >= {0, 20}
+    assert not any(mark.restart for mark in rig.marks)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -94,3 +95,16 @@ def test_it_never_exceeds_the_time_since_the_group_began(steps: list[tuple[tuple
         ages = np.array([age.frames(5, *each) for each in TILES])
         assert (ages >= 1.0).all() and (ages <= 6.0).all()
         assert what != "sent" or age.frames(5, *key) <= max(5 - key[0], 1)
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_of_a_clip_that_is_kept_whole_no_group_is_past(whole: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not whole:
+        monkeypatch.setattr("cags_common.bundle.manifest.MAX_WHOLE_SPLATS", 0)
+    served = library(frames=9, gof=3)
+    age = VersionAge(served)
+    for frame in (0, 6, 3):  # as a viewer jumps
+        for entry in served.entry(frame).tiles:
+            age.sent(frame, entry.tile)
+    shown = [bool((age.shown_with(frame, []) >= 0).any()) for frame in (0, 3, 6)]
+    assert shown == ([True] * 3 if whole else [False, False, True])
