@@ -36,7 +36,7 @@ def _serve(argv: Sequence[str]) -> None:
     add_settings(parser, ServeSettings)
     parser.add_argument("--json", action="store_true", help="print the line that says the server is ready as JSON")
     parser.add_argument("--headless", action="store_true", help="print no live table, even in a terminal")
-    arguments = parser.parse_args(_spelt_out(argv))
+    arguments = parser.parse_args(argv)
     settings = load_settings(ServeSettings, arguments)
     _start_logging(settings)
 
@@ -89,15 +89,6 @@ def _serve(argv: Sequence[str]) -> None:
             decoded_bytes=round(settings.decoded_mb * 1e6),
         )
         asyncio.run(serve(scenes, settings, ready))
-
-
-def _spelt_out(argv: Sequence[str]) -> list[str]:
-    """``--max-clients auto`` by its number."""
-    pairs = zip(["", *argv], argv, strict=False)
-    return [
-        "0" if before == "--max-clients" and each == "auto" else each.replace("--max-clients=auto", "--max-clients=0")
-        for before, each in pairs
-    ]
 
 
 class _Formatter(logging.Formatter):

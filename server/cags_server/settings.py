@@ -169,6 +169,7 @@ class ServeSettings(ServerSettings):
         "largest number of clients; further ones are refused; auto (or 0) measures how many the renderer can serve",
         low=0,
         high=100_000,
+        words={"auto": 0},
     )
     token: str = setting(
         "",

@@ -15,6 +15,8 @@ class Example:
     port: int = setting(8765, "TCP port", low=0, high=65535)
     rate: float = setting(1.5, "rate in Mbps, 100 % of the link", low=0)
     mode: str = setting("fast", "how", choices=("fast", "exact"))
+    loss: float = setting(0.0, "share lost", high=1)
+    viewers: int = setting(2, "most viewers", low=0, words={"auto": 0})
     token: str | None = setting(None, "secret")
     loop: bool = setting(False, "play again")
 
@@ -27,6 +29,7 @@ class Example:
 def parse(*argv: str) -> Example:
     parser = argparse.ArgumentParser()
     add_settings(parser, Example)
+    parser.add_argument("--url")
     return load_settings(Example, parser.parse_args(argv))
 
 
@@ -58,8 +61,13 @@ def test_unknown_keys_are_refused_by_name(tmp_path):
     ("text", "message"),
     [
         ("port = 70000", "port = 70000 must lie in"),
-        ("port = true", "port = True must be of type int"),
-        ('rate = "1"', "rate = '1' must be of type float"),
+        ("port = true", "port = True must be a whole number$"),
+        ('rate = "1"', "rate = '1' must be a number$"),
+        ("rate = -1", "rate = -1 must be at least 0$"),
+        ("loss = 2", "loss = 2 must be at most 1$"),
+        ("token = 1", "token = 1 must be text in quotes$"),
+        ("loop = 1", "loop = 1 must be true or false$"),
+        ("viewers = 'many'", "viewers = 'many' must be a whole number or 'auto'$"),
         ("rate = inf", "rate = inf must be finite"),
         ('mode = "slow"', "mode = 'slow' must be one of fast, exact"),
         ("port = = 1", "is not TOML"),
@@ -71,6 +79,47 @@ def test_bad_values_name_the_field_and_the_value(tmp_path, text, message):
     config.write_text(text + "\n")
     with pytest.raises(ConfigError, match=message):
         parse("--config", str(config))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("port = 1\nrate = -1\n", "c.toml, line 2: rate = -1 must"),
+        ("rate = 2\n[server]\nrate = 3\n[client]\n'rate' = -1\n", "c.toml, line 5: rate = -1 must"),
+        ("# a word\n\nprto = 1\n", "c.toml, line 3: unknown key 'prto'; did you mean 'port'? known: loop, "),
+        ("[clients]\nport = 2\n", "c.toml, line 1: unknown key 'clients'"),
+        ("port = 1\nurl = 'x'\n", "c.toml, line 2: 'url' can be given on the command line only"),
+        ("port = 1\nport = 2\n", "c.toml: is not TOML (Cannot overwrite a value (at line 2, column 9))"),
+        ("port = 70_000\nrate = -1\n", "c.toml, line 1: port = 70000 must"),
+    ],
+)
+def test_what_is_wrong_in_a_file_is_told_with_its_line(tmp_path, text, message):
+    (tmp_path / "c.toml").write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        parse("--config", str(tmp_path / "c.toml"))
+    assert message in str(caught.value)
+
+
+def test_a_file_that_is_not_utf_8_is_told(tmp_path):
+    (tmp_path / "c.toml").write_bytes(b'mode = "\xfcber"\n')
+    with pytest.raises(ConfigError, match=r"c\.toml: is not TOML \(byte 8 is not UTF-8\)"):
+        parse("--config", str(tmp_path / "c.toml"))
+
+
+def test_what_is_wrong_on_the_command_line_is_not_blamed_on_the_file(tmp_path):
+    (tmp_path / "c.toml").write_text("rate = 2\nport = 1\n")
+    with pytest.raises(ConfigError, match=r"^port = 70000 must lie in"):
+        parse("--config", str(tmp_path / "c.toml"), "--port", "70000")
+
+
+def test_a_number_may_have_a_name(tmp_path, capsys):
+    (tmp_path / "c.toml").write_text('viewers = "auto"\n')
+    assert parse("--config", str(tmp_path / "c.toml")).viewers == 0
+    assert parse("--viewers", "auto").viewers == 0
+    assert parse("--viewers=3").viewers == 3
+    with pytest.raises(SystemExit):
+        parse("--viewers", "many")
+    assert "invalid int or auto value: 'many'" in capsys.readouterr().err
 
 
 def test_a_file_may_begin_with_the_mark_that_windows_writes(tmp_path):

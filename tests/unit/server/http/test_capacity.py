@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
+from pathlib import Path
+
 import pytest
 
+from cags_common.settings import add_settings, load_settings
 from cags_protocol import events as ev
-from cags_server.cli import _spelt_out
 from cags_server.http import app
 from cags_server.http.capacity import LEAST_MEASURED, Capacity, capacity
 from cags_server.http.metrics import exposition
@@ -56,9 +59,14 @@ def test_looking_at_the_metrics_changes_no_totals() -> None:
     assert ended == Totals()
 
 
-def test_auto_is_the_number_for_it() -> None:
-    assert _spelt_out(["--max-clients", "auto", "--host", "auto"]) == ["--max-clients", "0", "--host", "auto"]
-    assert _spelt_out(["--max-clients=auto"]) == ["--max-clients=0"]
+@pytest.mark.parametrize("given", [["--max-clients", "auto"], ["--max-clients=auto"], ["--config", "auto.toml"]])
+def test_auto_is_the_number_for_it(given: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("auto.toml").write_text('max_clients = "auto"\n')
+    parser = argparse.ArgumentParser()
+    add_settings(parser, ServeSettings)
+    settings = load_settings(ServeSettings, parser.parse_args(["--bundle", "auto", *given]))
+    assert (settings.max_clients, settings.bundle) == (0, "auto")
 
 
 async def test_one_more_than_the_machine_carries_is_refused_with_the_figure(monkeypatch: pytest.MonkeyPatch) -> None:
