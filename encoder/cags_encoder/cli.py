@@ -113,6 +113,7 @@ def _encode(arguments: argparse.Namespace) -> None:
     if not arguments.scene or not arguments.out:
         raise ConfigError("SCENE and OUT are needed; cags-encode --help shows examples")
     settings = load_settings(CommandSettings, arguments)
+    _check_scene(arguments.scene)
     # Heavy imports come after the arguments are checked, so that --help answers at once.
     from cags_common.bundle import BundleReader
     from cags_encoder.bundles.describe import summarise
@@ -140,6 +141,22 @@ def _encode(arguments: argparse.Namespace) -> None:
     if pruned:
         text += f"; pruned to {pruned['splats_after']} splats, {pruned['psnr_db']:.2f} dB relative to all splats"
     _say(found, text, as_json=arguments.json)
+
+
+def _check_scene(scene: str) -> None:
+    """Raise :class:`ConfigError` for a folder that has been encoded, or its manifest, and for what is elsewhere."""
+    from cags_common.bundle.reader import MANIFEST_NAME
+    from cags_encoder.scenes.files import exists
+
+    path = Path(scene)
+    if "://" in scene and not exists(path):
+        raise ConfigError(f"SCENE {scene}: is not on this machine; copy it here, only bundles are read from elsewhere")
+    bundle = path.parent if path.name == MANIFEST_NAME else path
+    if exists(bundle / MANIFEST_NAME):
+        raise ConfigError(
+            f"SCENE {scene}: is a bundle, which is encoded already; play it with cags-server --bundle {bundle}, or "
+            f"describe it with {PROG} --inspect {bundle}"
+        )
 
 
 def _inspect(url: str, picture: str | None, *, as_json: bool) -> None:

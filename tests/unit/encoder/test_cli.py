@@ -61,6 +61,22 @@ def test_a_quantiser_for_a_codec_that_has_none_is_refused(capsys: pytest.Capture
     )
 
 
+@pytest.mark.parametrize("given", ["", "manifest.json"])
+def test_a_bundle_as_a_scene_is_told_with_what_takes_it(
+    given: str, bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = refused(capsys, 2, str(bundle / given), str(tmp_path / "b.cags"))
+    assert said == (
+        f"cags-encode: SCENE {bundle / given}: is a bundle, which is encoded already; play it with cags-server "
+        f"--bundle {bundle}, or describe it with cags-encode --inspect {bundle}"
+    )
+
+
+def test_a_scene_on_another_machine_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    said = refused(capsys, 2, "s3://bucket/clip.ply", str(tmp_path / "b.cags"))
+    assert said.startswith("cags-encode: SCENE s3://bucket/clip.ply: is not on this machine; copy it here")
+
+
 def test_damaged_bundles_are_named(bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     codebooks = bundle / "codebooks.bin"
     codebooks.write_bytes(codebooks.read_bytes()[:-9])
