@@ -1,5 +1,5 @@
 """``python -m cags_client``."""
 
-from cags_client.cli import main
+from cags_common.runtime.entry import client
 
-raise SystemExit(main())
+raise SystemExit(client())

@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cags_common.cli import EXIT_SIGNAL, command_parser, run_command
+from cags_common.cli import command_parser, run_command
 from cags_common.errors import CagsError, ConfigError
+from cags_common.runtime.endings import EXIT_SIGNAL
 from cags_common.settings import add_flags, add_settings, given_flags, load_settings
 
 if TYPE_CHECKING:

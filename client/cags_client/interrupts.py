@@ -2,37 +2,26 @@
 
 from __future__ import annotations
 
-import asyncio
 import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+
+from cags_common.runtime.endings import leave_at_next, on_first_request
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 @contextmanager
 def interrupts(end: Callable[[signal.Signals], object]) -> Iterator[None]:
-    """Within the block the first interrupt, or request to end, calls ``end``; later ones have their usual effect."""
-    loop = asyncio.get_running_loop()
-    usual = {number: signal.getsignal(number) for number in SIGNALS}
-
-    def remove() -> None:
-        for number in SIGNALS:
-            if loop.remove_signal_handler(number):  # which leaves the system's own handler, whatever there was before
-                signal.signal(number, usual[number])
-
-    def once(number: signal.Signals) -> None:
-        remove()
-        end(number)
-
+    """Within the block the first interrupt, or request to end, calls ``end``; the next one ends the process at once."""
+    remove = None
     with suppress(NotImplementedError, RuntimeError, ValueError):  # not in the main thread, or not on this system
-        for number in SIGNALS:
-            loop.add_signal_handler(number, once, number)
+        remove = on_first_request(end)
     try:
         yield
     finally:
-        with suppress(NotImplementedError, RuntimeError, ValueError):
+        if remove is not None:
             remove()
 
 
@@ -40,7 +29,8 @@ def interrupts(end: Callable[[signal.Signals], object]) -> Iterator[None]:
 def noted_interrupts() -> Iterator[list[signal.Signals]]:
     """As :func:`interrupts`, outside of an event loop: the first signal is put into the list that the block is given.
 
-    Whoever works in the block looks at the list, and stops where nothing is lost.
+    Whoever works in the block looks at the list, and stops where nothing is lost. The first within the block is meant:
+    one that has ended a play before leaves its scoring to the next.
     """
     noted: list[signal.Signals] = []
     if threading.current_thread() is not threading.main_thread():
@@ -48,12 +38,8 @@ def noted_interrupts() -> Iterator[list[signal.Signals]]:
         return
     usual = {number: signal.getsignal(number) for number in SIGNALS}
 
-    def remove() -> None:
-        for number in SIGNALS:
-            signal.signal(number, usual[number])
-
     def note(number: int, _: object) -> None:
-        remove()
+        leave_at_next()
         noted.append(signal.Signals(number))
 
     for number in SIGNALS:
@@ -61,4 +47,6 @@ def noted_interrupts() -> Iterator[list[signal.Signals]]:
     try:
         yield noted
     finally:
-        remove()
+        if not noted:
+            for number in SIGNALS:
+                signal.signal(number, usual[number])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import io
+import math
 import os
 import signal
 import sys
@@ -14,11 +15,9 @@ from pathlib import Path
 from typing import NoReturn
 
 from cags_common.errors import REFUSALS, CagsError, ConfigError
+from cags_common.runtime.endings import EXIT_SIGNAL, REQUESTS, heard, leave_at_next
 
 EXIT_OK, EXIT_FAILED, EXIT_USAGE = 0, 1, 2
-EXIT_SIGNAL = 128
-"""Plus the number of the signal that ended a command, as shells count."""
-
 AGAIN_S = 0.01
 """When a signal that was lost is sent again, seconds: what lost it is over by then."""
 
@@ -84,21 +83,36 @@ def run_command(prog: str, body: Callable[[Sequence[str]], int | None], argv: Se
     """Run a command's body; turn :class:`CagsError` into one line on stderr and the exit code 1 (2 for wrong use).
 
     So is what the system refuses (a full disk, a folder that cannot be written). A request to end leaves as an
-    interrupt does: children are stopped and files in the making removed.
+    interrupt does: children are stopped and files in the making removed. The next one ends the process at once
+    (:mod:`cags_common.runtime.endings`).
+
+    Without ``argv`` the process is the command's: once it has been asked to end, it does so as soon as everything is in
+    order, without waiting for threads.
     """
+    alone = argv is None
+    try:
+        with _ending_in_order(alone):
+            code = _run(prog, body, sys.argv[1:] if argv is None else argv)
+    except KeyboardInterrupt:
+        code = _failed(prog, "interrupted", EXIT_SIGNAL + signal.SIGINT)
+    except SystemExit as end:
+        if not (alone and heard() and isinstance(end.code, int)):
+            raise
+        code = end.code
+    return _end(code) if alone and heard() else code
+
+
+def _run(prog: str, body: Callable[[Sequence[str]], int | None], argv: Sequence[str]) -> int:
     try:
         _open_closed_streams()
         _print_whatever_the_locale()
-        with _ending_in_order(), _no_signal_lost():
-            code = body(sys.argv[1:] if argv is None else argv) or EXIT_OK
-            sys.stdout.flush()  # here, where a full disk is told of, and not while Python ends
-            return code
+        code = body(argv) or EXIT_OK
+        sys.stdout.flush()  # here, where a full disk is told of, and not while Python ends
+        return code
     except ConfigError as error:
         return _failed(prog, error, EXIT_USAGE)
     except CagsError as error:
         return _failed(prog, error, EXIT_FAILED)
-    except KeyboardInterrupt:
-        return _failed(prog, "interrupted", EXIT_SIGNAL + signal.SIGINT)
     except BrokenPipeError:  # the reader of our output (head, less) went away: not an error of ours
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_OK
@@ -107,6 +121,17 @@ def run_command(prog: str, body: Callable[[Sequence[str]], int | None], argv: Se
             raise
         where = error.filename or "output"
         return _failed(prog, f"{where}: {(error.strerror or str(error)).lower()}; {REFUSALS[error.errno]}", EXIT_FAILED)
+
+
+def _end(code: int) -> NoReturn:
+    """End the process without waiting for its threads, as Python would: none has anything to finish any more.
+
+    Python would also give its signals their usual effect first, and another request would end it as a failure does.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code)
 
 
 def _failed(prog: str, why: object, code: int) -> int:
@@ -140,29 +165,47 @@ def _print_whatever_the_locale() -> None:
 
 
 @contextmanager
-def _ending_in_order() -> Iterator[None]:
-    """SIGTERM and a terminal that is closed raise :class:`SystemExit`, where Python would end on the spot."""
+def _ending_in_order(alone: bool) -> Iterator[None]:
+    """SIGTERM and a terminal that is closed raise :class:`SystemExit`, where Python would end on the spot.
 
-    def end(number: int, _: object) -> None:
-        raise SystemExit(EXIT_SIGNAL + number)
-
+    An interrupt raises :class:`KeyboardInterrupt`. ``alone``: the process ends after the block, so it may be ended.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    numbers = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) is signal.SIG_DFL]
-    for number in numbers:
-        signal.signal(number, end)
+    usual = {number: handler for number in REQUESTS if (handler := signal.getsignal(number)) in AS_PYTHON_STARTS}
+    heard = False
+
+    def end(number: int, _: object) -> None:
+        nonlocal heard
+        heard = True
+        leave_at_next()
+        raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(EXIT_SIGNAL + number)
+
+    def listen() -> None:
+        for number in usual:
+            signal.signal(number, end)
+
+    listen()
     try:
-        yield
+        with _no_signal_lost(listen):
+            yield
     finally:
-        for number in numbers:
-            signal.signal(number, signal.SIG_DFL)
+        if not alone:
+            for number, handler in usual.items():
+                signal.signal(number, handler)
+        elif not heard:
+            leave_at_next(-math.inf)
+
+
+AS_PYTHON_STARTS = (signal.SIG_DFL, signal.default_int_handler)
+"""Handlers that nobody has chosen."""
 
 
 @contextmanager
-def _no_signal_lost() -> Iterator[None]:
+def _no_signal_lost(listen: Callable[[], None]) -> Iterator[None]:
     """Send a signal again whose exception came up where Python drops it, as in the callback of a weak reference or in
-    a finaliser. The command would go on as if nobody had asked it to end.
+    a finaliser. The command would go on as if nobody had asked it to end. ``listen`` makes it count as the first again.
     """
     usual = sys.unraisablehook
 
@@ -170,8 +213,9 @@ def _no_signal_lost() -> Iterator[None]:
         number = _signal_of(unraisable.exc_type, unraisable.exc_value)
         if number is None:
             usual(unraisable)
-        else:
-            threading.Timer(AGAIN_S, signal.pthread_kill, (threading.main_thread().ident, number)).start()
+            return
+        listen()
+        threading.Timer(AGAIN_S, signal.pthread_kill, (threading.main_thread().ident, number)).start()
 
     sys.unraisablehook = hook
     try:

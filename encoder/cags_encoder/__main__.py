@@ -2,6 +2,6 @@
 
 import sys
 
-from cags_encoder.cli import main
+from cags_common.runtime.entry import encode
 
-sys.exit(main())
+sys.exit(encode())

@@ -1,5 +1,5 @@
 """``python -m cags_server``."""
 
-from cags_server.cli import main
+from cags_common.runtime.entry import server
 
-raise SystemExit(main())
+raise SystemExit(server())

@@ -1,5 +1,5 @@
 """``python -m cags_shaper``."""
 
-from cags_shaper.cli import main
+from cags_common.runtime.entry import shaper
 
-raise SystemExit(main())
+raise SystemExit(shaper())

@@ -7,13 +7,13 @@ import contextlib
 import json
 import logging
 import os
-import signal
 import sys
 import time
 from collections.abc import AsyncIterator, Sequence
 from typing import TYPE_CHECKING
 
 from cags_common.errors import NetworkError
+from cags_common.runtime.endings import on_first_request
 from cags_common.runtime.tasks import watched
 from cags_common.transport.hosts import host_port
 from cags_shaper.control import ControlPort
@@ -46,8 +46,7 @@ class Service:
         stop = asyncio.Event()
         async with contextlib.AsyncExitStack() as stack:
             ready = await self._start(stack)
-            for number in (signal.SIGTERM, signal.SIGINT):
-                asyncio.get_running_loop().add_signal_handler(number, stop.set)
+            on_first_request(lambda _: stop.set())
             print(self._ready_line(ready), flush=True)
             watching = watched(self._end_with_proxy(stop), lambda error: None)  # raised below
             await stop.wait()

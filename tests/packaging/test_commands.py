@@ -6,10 +6,9 @@ from importlib.metadata import distribution
 
 import pytest
 
+from cags_common.runtime.entry import COMMANDS as MODULES
+
 COMMANDS = sorted(e.name for e in distribution("cags-stream").entry_points if e.group == "console_scripts")
-MODULES = {
-    e.name: e.value.partition(":")[0] for e in distribution("cags-stream").entry_points if e.group == "console_scripts"
-}
 
 
 def run(command: str, *arguments: str) -> subprocess.CompletedProcess[str]:

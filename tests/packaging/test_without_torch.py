@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from cags_common.runtime.entry import COMMANDS
+
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 WITHOUT_TORCH = """
@@ -58,7 +60,7 @@ def test_every_module_below_research_can_be_imported() -> None:
 
 @pytest.mark.parametrize("command", ["cags-server", "cags-client", "cags-demo", "cags-train"])
 def test_commands_explain_themselves(command: str) -> None:
-    module = PROJECT["scripts"][command].partition(":")[0]
+    module = COMMANDS[command]
     done = run(f"from {module} import main; sys.exit(main())", "--help")
     assert done.returncode == 0, done.stderr
 
@@ -72,7 +74,7 @@ def test_commands_explain_themselves(command: str) -> None:
     ],
 )
 def test_a_network_names_the_extra_that_it_needs(command: str, arguments: list[str], tmp_path: Path) -> None:
-    module = PROJECT["scripts"][command].partition(":")[0]
+    module = COMMANDS[command]
     done = run(f"import os; os.chdir({str(tmp_path)!r}); from {module} import main; sys.exit(main())", *arguments)
     assert done.returncode == 2
     assert "needs the package torch: pip install 'cags-stream[research]'" in done.stderr

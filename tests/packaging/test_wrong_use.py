@@ -6,14 +6,12 @@ import json
 import socket
 from collections.abc import Callable, Iterator
 from importlib import import_module
-from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
 
-MODULES = {
-    e.name: e.value.partition(":")[0] for e in distribution("cags-stream").entry_points if e.group == "console_scripts"
-}
+from cags_common.runtime.entry import COMMANDS as MODULES
+
 NOBODY = "ws://127.0.0.1:1/stream"
 STEADY = "--trace=generated:steady-30"
 

@@ -7,11 +7,9 @@ import io
 import re
 from functools import cache
 from importlib import import_module
-from importlib.metadata import distribution
 
-MODULES = {
-    e.name: e.value.partition(":")[0] for e in distribution("cags-stream").entry_points if e.group == "console_scripts"
-}
+from cags_common.runtime.entry import COMMANDS as MODULES
+
 FLAG = re.compile(r"(?<![\w/-])--[a-z][a-z0-9-]+")
 
 

@@ -8,6 +8,8 @@ from functools import cache
 from itertools import chain
 from pathlib import Path
 
+from cags_common.runtime.entry import COMMANDS
+
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 PACKAGES = [ROOT / folder for folder in PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]]
@@ -69,7 +71,8 @@ def used(path: Path) -> frozenset[str]:
 def entry_points() -> frozenset[str]:
     """Modules that are started as commands or found by name."""
     groups = (PROJECT["project"]["scripts"], *PROJECT["project"]["entry-points"].values())
-    return frozenset(entry.partition(":")[0] for entry in chain.from_iterable(group.values() for group in groups))
+    named = (entry.partition(":")[0] for entry in chain.from_iterable(group.values() for group in groups))
+    return frozenset({*named, *COMMANDS.values()})
 
 
 def reached(path: Path) -> set[str]:

@@ -1,1 +1,1 @@
-"""What a process needs to run: pools, tasks, threads, waiting, a log and a terminal that are not flooded."""
+"""What a process needs to run: beginning and end, pools, tasks, threads, waiting, a log and a terminal not flooded."""

@@ -8,7 +8,6 @@ import gc
 import itertools
 import logging
 import os
-import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from aiohttp import web
 from aiohttp.typedefs import Handler, Middleware
 
 from cags_common.errors import CagsError, NetworkError, OutputError
+from cags_common.runtime.endings import on_first_request
 from cags_common.runtime.rare_log import RareLog
 from cags_common.transport.accepting import listen_on
 from cags_common.transport.base import ConnectionEndedError
@@ -402,7 +402,5 @@ def _way_out(error: OSError) -> str:
 
 def _stop_on_signals() -> asyncio.Event:
     stop = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, stop.set)
+    on_first_request(lambda _: stop.set())
     return stop

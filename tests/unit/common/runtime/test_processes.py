@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,49 @@ def test_workers_end_when_their_parent_is_killed(start: str) -> None:
     while running(worker):
         assert time.monotonic() < deadline, "the worker outlived its parent"
         time.sleep(0.02)
+
+
+AT_WORK = """
+import sys, time
+from cags_common.cli import run_command
+from cags_common.runtime.processes import process_pool
+def body(argv):
+    with process_pool(2, sys.argv[1]) as pool:
+        futures = [pool.submit(time.sleep, 0.02) for _ in range(10_000)]
+        print("up", flush=True)
+        for future in futures:
+            future.result()
+if __name__ == "__main__":
+    run_command("cags-try", body)
+"""
+
+
+@pytest.mark.parametrize("after_s", [0.0, 0.1, 1.0])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("start", ["spawn", "forkserver"])
+def test_a_signal_to_all_is_answered_by_the_parent(start: str, number: signal.Signals, after_s: float) -> None:
+    """As Ctrl-C in a terminal and ``timeout`` send it. Workers ended in tracebacks, or left their parent waiting."""
+    with subprocess.Popen(
+        [sys.executable, "-c", f"import signal; signal.signal(2, signal.default_int_handler)\n{AT_WORK}", start],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as parent:
+        assert parent.stdout is not None
+        assert parent.stdout.readline() == "up\n"
+        time.sleep(after_s)
+        os.killpg(parent.pid, number)
+        _, said = parent.communicate(timeout=20)  # workers, too, have let go of its output
+    assert parent.returncode == 128 + number
+    assert said == ("cags-try: interrupted\n" if number == signal.SIGINT else "")
+
+
+def test_a_worker_that_is_asked_to_end_ends() -> None:
+    with process_pool(1) as pool:
+        os.kill(pool.submit(os.getpid).result(), signal.SIGTERM)
+        with pytest.raises(BrokenProcessPool):
+            pool.submit(time.sleep, 60).result(timeout=30)
 
 
 def test_libraries_take_one_thread_in_workers_and_what_they_took_outside(monkeypatch: pytest.MonkeyPatch) -> None:
