@@ -163,6 +163,34 @@ async def test_what_cannot_be_encoded_is_told_in_a_line_and_leaves_nothing(tmp_p
     assert names(tmp_path) == []
 
 
+@pytest.mark.parametrize(
+    ("name", "title", "scene"),
+    [
+        ("Küche 2.PLY", "Küche 2", "K-che-2"),
+        ("部屋.ply", "部屋", "scene"),
+        ("a\"b'c%2F.ply", "a\"b'c%2F", "a-b-c-2F"),
+        ("x:frames=3.ply", "x:frames=3", "x-frames-3"),
+        ("...ply", "..", "scene"),
+        (f"{'ü' * 300}.ply", "ü" * 120, "scene"),
+    ],
+)
+async def test_names_are_shown_as_they_are_and_stored_in_plain_letters(
+    name: str, title: str, scene: str, tmp_path: Path
+) -> None:
+    data, folder = capture(tmp_path / "a.ply"), tmp_path / "scenes"
+    folder.mkdir()
+    async with gallery(folder, accept_uploads=True) as (url, _), ClientSession() as http:
+        assert (await http.post(f"{url}/upload", params={"name": name}, data=data[:-1])).status == 202
+        job = await ended(http, url)
+        assert job["text"].startswith(f"{title}.ply: is cut short"), job
+        assert (await http.post(f"{url}/upload", params={"name": name}, data=data)).status == 202
+        job = await ended(http, url)
+        assert (job["text"], job["scene"]) == (f"{title} is ready", scene)
+        (found,) = (await (await http.get(f"{url}/scenes")).json())["scenes"]
+        assert (found["title"], found["name"]) == (title, scene)
+    assert names(folder) == [f"{scene}.cags"]
+
+
 async def test_a_frame_that_cannot_be_read_is_told_by_its_own_name(tmp_path: Path) -> None:
     frames = {"walk 1.ply": capture(tmp_path / "a.ply"), "clip/walk 2.ply": b"nonsense"}
     (tmp_path / "a.ply").unlink()

@@ -151,3 +151,38 @@ def test_a_token_in_the_address_opens_the_list_and_goes_with_the_visitor_to_a_sc
         viewer.until_true(lambda: "scene=balls" in browser.current_url, "the scene's page", 60)
         browser.find_element("id", "scenes").click()
         viewer.until_true(lambda: browser.find_elements("css selector", "#scenes a h2"), "the list again", 60)
+
+
+TELL = """
+window.told = [];
+const message = document.getElementById("message");
+new MutationObserver(() => message.hidden || told.push(message.textContent))
+  .observe(message, { attributes: true, childList: true });
+"""
+
+
+@pytest.mark.slow
+def test_a_wrong_token_is_told_once_each_time_and_can_be_written_over(tmp_path: Path) -> None:
+    require_built()
+    scenes = tmp_path / "scenes"
+    scenes.mkdir()
+    small_bundle(scenes / "balls.cags")
+    with (
+        served(scenes, tmp_path / "server", "--token", "sesame", *SMALL) as server,
+        chromium(tmp_path / "profile") as browser,
+    ):
+        viewer = Page(browser)
+        browser.get(server.url)
+        field = browser.find_element("id", "token-text")
+        viewer.until_true(field.is_displayed, "the form", 60)
+        browser.execute_script(TELL)
+        for number, token in enumerate(("wrong", "wrong again"), 1):
+            field.send_keys(token)
+            browser.find_element("css selector", "#token button").click()
+            viewer.until_true(lambda n=number: browser.execute_script("return told.length") >= n, "the words", 60)
+            assert browser.switch_to.active_element == field
+        assert browser.execute_script("return told") == ["This token does not open the server."] * 2
+        assert field.get_attribute("aria-invalid") == "true"
+        field.send_keys("sesame\n")
+        viewer.until_true(lambda: browser.find_elements("css selector", "#scenes a"), "the list", 60)
+        viewer.until_true(lambda: browser.switch_to.active_element.tag_name == "a", "the focus on the first scene", 60)

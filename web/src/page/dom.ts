@@ -6,6 +6,11 @@ export function the<T extends HTMLElement>(id: string): T {
   return found as T;
 }
 
+/** Put words into an element unless it has them: a screen reader says all that is put into a status, again too. */
+export function word(element: HTMLElement, text: string): void {
+  if (element.textContent !== text) element.textContent = text;
+}
+
 /** Do so whenever its user has changed an element. */
 export function onChange<T extends HTMLElement>(id: string, apply: (element: T) => void): void {
   const element = the<T>(id);

@@ -2,7 +2,7 @@
 
 import "./gallery.css";
 import { headingsOf } from "./author.ts";
-import { the } from "./dom.ts";
+import { the, word } from "./dom.ts";
 import { lasts, size } from "./facts.ts";
 import { bearer, placeOf, tokenHash } from "./place.ts";
 import { Uploads } from "./uploads.ts";
@@ -34,15 +34,29 @@ async function show(): Promise<void> {
   } catch {
     return say("The server is not there. Load this page again when it is.");
   }
-  the("token").hidden = answer.status !== 401;
-  if (answer.status === 401) return say(token === undefined ? "This server asks for a token. Whoever runs it can give you one." : "This token does not open the server.");
+  if (answer.status === 401) return askToken();
+  const asked = !the("token").hidden && the("token").contains(document.activeElement);
+  the("token").hidden = true;
   if (!answer.ok) return say(`The server answers ${answer.status} ${answer.statusText}.`);
   say("");
   const { scenes, upload_bytes } = (await answer.json()) as { scenes: Entry[]; upload_bytes: number };
-  the("count").textContent = scenes.length === 1 ? "1 scene" : `${scenes.length} scenes`;
+  word(the("count"), scenes.length === 1 ? "1 scene" : `${scenes.length} scenes`);
   const headings = headingsOf(scenes);
   the("scenes").replaceChildren(...(scenes.length ? scenes.map((scene, i) => card(scene, headings[i]!)) : [nothing(upload_bytes > 0)]));
   uploads.offer(upload_bytes);
+  if (asked) the("scenes").querySelector("a")?.focus(); // the field that had the focus is gone
+}
+
+/** Show the form; what has been tried in it is marked, to be written over. */
+function askToken(): void {
+  const [form, field] = [the("token"), the<HTMLInputElement>("token-text")];
+  const wrong = token !== undefined;
+  form.hidden = false;
+  field.setAttribute("aria-invalid", String(wrong));
+  say(wrong ? "This token does not open the server." : "This server asks for a token. Whoever runs it can give you one.");
+  if (!wrong) return;
+  field.focus();
+  field.select();
 }
 
 function card({ name, seconds, frames, bytes }: Entry, title: string): HTMLLIElement {
@@ -84,6 +98,7 @@ function make<K extends keyof HTMLElementTagNameMap>(name: K): HTMLElementTagNam
 
 the<HTMLFormElement>("token").addEventListener("submit", (event) => {
   event.preventDefault();
+  say(""); // what is said of this one is heard, even if it is the same as of the last
   token = the<HTMLInputElement>("token-text").value;
   void show();
 });

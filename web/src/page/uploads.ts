@@ -1,6 +1,6 @@
 /** A file dropped on the gallery: sent, encoded by the server, and then a scene among the others. */
 
-import { the } from "./dom.ts";
+import { the, word } from "./dom.ts";
 import { zipped } from "./zip.ts";
 
 type Ask = (path: string, options?: RequestInit) => Promise<Response>;
@@ -118,7 +118,7 @@ export class Uploads {
     if (!job) {
       if (!following) return;
       if (answer && answer.status >= 400 && answer.status < 500) return this.#over(await reasonOf(answer));
-      if (!answer?.ok) the("job-text").textContent = "The server is not there; this page looks for it";
+      if (!answer?.ok) word(the("job-text"), "The server is not there; this page looks for it");
       return again(); // the server may be back, and still at it
     }
     if (isUnderWay(job)) again();
@@ -141,7 +141,7 @@ export class Uploads {
     const busy = isUnderWay(job);
     the("job").hidden = !busy;
     the("invite").hidden = busy;
-    the("job-text").textContent = text;
+    word(the("job-text"), text);
     const bar = the<HTMLProgressElement>("job-share");
     if (share === null) bar.removeAttribute("value");
     else bar.value = share;

@@ -6,7 +6,16 @@ import { zipped } from "../../src/page/zip.ts";
 /** As much of an element as the gallery asks of one. */
 class Element extends EventTarget {
   hidden = false;
-  textContent = "";
+  /** As often as a screen reader would say a status. */
+  told = 0;
+  #words = "";
+  get textContent(): string {
+    return this.#words;
+  }
+  set textContent(text: string) {
+    this.#words = text;
+    this.told++;
+  }
   files: readonly File[] = [];
   value: string | number = "";
   toggleAttribute(): void {}
@@ -159,6 +168,14 @@ test("a server that has a job no longer to be asked for is not asked on", async 
   const { at, said } = gallery(() => (++asks === 1 ? json({ ...IDLE, state: "encoding" }) : json({ error: "no uploads here" }, 404)));
   await sleep(1_600);
   assert.deepEqual([said.at(-1), at("job").hidden, asks], ["no uploads here", true, 2]);
+});
+
+test("what the server says again of a job is not told again", async () => {
+  let share = 0;
+  const { at } = gallery(() => json({ ...IDLE, state: "encoding", text: "Frames", share: (share += 0.1) }));
+  await sleep(1_600);
+  assert.ok(Number(at("job-share").value) > 0.25);
+  assert.deepEqual([at("job-text").textContent, at("job-text").told], ["Frames", 1]);
 });
 
 test("a job that is given up here goes without a word, and one that is given up elsewhere with one", async () => {

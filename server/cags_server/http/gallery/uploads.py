@@ -229,6 +229,7 @@ class Uploads:
             last = await self._follow(process)
             if await process.wait():
                 told = last.replace(f"{place}/", "").removeprefix("cags-encode: ")
+                told = told.replace(file.name, f"{title}{file.suffix}", 1)
                 if file.suffix == ".zip":
                     told = _as_sent(told, file.stem, frame_names(file, UNPACKED * self._most))
                 raise UploadError(told or "the encoder failed")
