@@ -69,7 +69,8 @@ class ClientSettings:
     )
     max_splats: int = setting(
         4_000_000,
-        "largest group of frames to accept, splats; each takes about 1 kB of memory at SH degree 3",
+        "largest group of frames to accept, splats; each takes about 1 kB of memory at SH degree 3, 0.25 kB at 0, of "
+        "--max-memory-mb",
         low=1,
         high=MAX_SPLATS,
     )

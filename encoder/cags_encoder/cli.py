@@ -154,8 +154,8 @@ def _check_scene(scene: str) -> None:
     bundle = path.parent if path.name == MANIFEST_NAME else path
     if exists(bundle / MANIFEST_NAME):
         raise ConfigError(
-            f"SCENE {scene}: is a bundle, which is encoded already; play it with cags-server --bundle {bundle}, or "
-            f"describe it with {PROG} --inspect {bundle}"
+            f"SCENE {scene}: is a bundle, which is encoded already; cags-server --bundle {bundle} plays it, and "
+            f"{PROG} --inspect describes it"
         )
 
 

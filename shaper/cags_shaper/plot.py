@@ -11,6 +11,7 @@ from cags_common.errors import TraceError
 from cags_shaper.log import INTERVAL_US
 
 DIRECTIONS = "down", "up"
+WAY_OUT = "give a file written by cags-shaper --log"
 
 
 def plot_log(path: Path) -> Path:
@@ -49,18 +50,21 @@ def read_log(path: Path) -> list[dict[str, Any]]:
     """The samples of a log; a last line cut short is left out. Raises :class:`TraceError`."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
-    except (OSError, UnicodeDecodeError) as error:
-        raise TraceError(f"{path}: cannot be read ({error}); give a file written by cags-shaper --log") from error
+    except OSError as error:
+        raise TraceError(f"{path}: cannot be read ({error.strerror}); {WAY_OUT}") from error
+    except UnicodeDecodeError as error:
+        raise TraceError(f"{path}: is no log of cags-shaper (byte {error.start} is not UTF-8); {WAY_OUT}") from error
     try:
         header, *rows = [json.loads(line) for line in lines if line.endswith("\n")]
         known = header["log"] == "cags-shaper" and header["interval_us"] == INTERVAL_US
     except (ValueError, KeyError, TypeError) as error:
-        raise TraceError(f"{path}: is no log of cags-shaper ({error})") from error
+        empty = "" if lines else " (it is empty)"
+        raise TraceError(f"{path}: is no log of cags-shaper{empty}; {WAY_OUT}") from error
     if not known or not rows:
-        raise TraceError(f"{path}: is no log of this version of cags-shaper, or holds no samples")
+        raise TraceError(f"{path}: is no log of this version of cags-shaper, or holds no samples; {WAY_OUT}")
     for number, row in enumerate(rows, start=2):
         if not _is_sample(row):
-            raise TraceError(f"{path}, line {number}: is no sample of cags-shaper; give a file written by --log")
+            raise TraceError(f"{path}, line {number}: is no sample of cags-shaper; {WAY_OUT}")
     return rows
 
 

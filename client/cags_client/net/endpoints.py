@@ -163,7 +163,8 @@ def _info(url: str, token: str, tls: ssl.SSLContext | None) -> Manifest:
     if response.status == http.HTTPStatus.NOT_FOUND and (reason := _reason(data)):
         raise NetworkError(f"{url}: {reason}")
     if response.status != 200:
-        raise NetworkError(f"{url}: the server answers {response.status} {response.reason} for its bundle")
+        answer = f"{response.status} {response.reason}".strip()
+        raise NetworkError(f"{url}: the server answers {answer} for its bundle; check that cags-server listens there")
     try:
         return Manifest.from_json(data)
     except BundleError as error:

@@ -46,6 +46,9 @@ def filesystem(url: str) -> tuple[Any, str]:
 
     try:
         fs, path = fsspec.core.url_to_fs(url)
+    except ImportError as error:
+        way_out = "pip install 'cags-stream[scale]' for s3://, or what it says"
+        raise BundleError(f"{url}: cannot be opened ({error}); {way_out}") from error
     except Exception as error:  # stores of other makers raise what they like, and some connect at once
         raise BundleError(
             f"{url}: cannot be opened ({error}); give a folder or an address such as s3://BUCKET/NAME"
@@ -141,7 +144,8 @@ class UrlStore:
             self._ask_on(name)
             raise self._no_answer(name) from error
         except OSError as error:
-            raise BundleError(f"{self._url}/{name}: cannot be read ({error.strerror or error})") from error
+            way_out = "check the address and who may read it"
+            raise BundleError(f"{self._url}/{name}: cannot be read ({error.strerror or error}); {way_out}") from error
         except Exception as error:
             way_out = "check the address and, for s3, the credentials in the environment"
             raise BundleError(f"{self._url}/{name}: cannot be read ({error}); {way_out}") from error

@@ -55,14 +55,17 @@ class AuthorView:
         )
 
 
+WAY_OUT = "give a file as the page in the browser saves it"
+
+
 def read_view(path: str) -> AuthorView:
     """The view in a JSON file. Raises :class:`ConfigError` in one line; a name that is not known is refused."""
     try:
         data = Path(path).read_bytes()[: MAX_VIEW_BYTES + 1]
     except OSError as error:
-        raise ConfigError(f"view = {path}: cannot be read ({error.strerror or error})") from error
+        raise ConfigError(f"view = {path}: cannot be read ({error.strerror or error}); {WAY_OUT}") from error
     if len(data) > MAX_VIEW_BYTES:
-        raise ConfigError(f"view = {path}: is larger than {MAX_VIEW_BYTES} bytes; it is no view")
+        raise ConfigError(f"view = {path}: is larger than {MAX_VIEW_BYTES} bytes, and no view; {WAY_OUT}")
     try:
         fields = Fields(json.loads(data), source=f"view = {path}")
         unknown = sorted(fields.names() - set(NAMES))
@@ -72,7 +75,7 @@ def read_view(path: str) -> AuthorView:
     except BundleError as error:
         raise ConfigError(str(error)) from error
     except (ValueError, RecursionError) as error:
-        raise ConfigError(f"view = {path}: is not JSON ({error})") from error
+        raise ConfigError(f"view = {path}: is not JSON ({error}); {WAY_OUT}") from error
 
 
 def _title(fields: Fields) -> str:

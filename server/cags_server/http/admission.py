@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hmac
 import ssl
+from pathlib import Path
 
 from cags_common.errors import ConfigError
 from cags_common.transport.hosts import host_allowed, is_loopback, named, same_host
@@ -86,15 +87,28 @@ def _same(shown: str, expected: str) -> bool:
     return sum([hmac.compare_digest(data, each.strip().encode()) for each in known]) > 0
 
 
+MISMATCH = "KEY_VALUES_MISMATCH"
+"""OpenSSL's word for a key of another certificate."""
+
+
 def tls_context(certificate: str, key: str) -> ssl.SSLContext | None:
     """Context for the given PEM files; None without them. Raises :class:`ConfigError`."""
     if not certificate and not key:
         return None
     if not certificate or not key:
         raise ConfigError("tls-cert and tls-key belong together; give both files or neither")
+    for flag, file in (("tls-cert", certificate), ("tls-key", key)):
+        try:
+            Path(file).read_bytes()
+        except OSError as error:
+            raise ConfigError(f"--{flag} {file}: cannot be read ({error.strerror}); give a PEM file") from error
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     try:
         context.load_cert_chain(certificate, key)
-    except (OSError, ssl.SSLError) as error:
-        raise ConfigError(f"tls-cert {certificate}, tls-key {key}: cannot be used ({error})") from error
+    except (OSError, ValueError) as error:
+        reason = "they do not belong together" if getattr(error, "reason", "") == MISMATCH else "they are not PEM"
+        raise ConfigError(
+            f"--tls-cert {certificate}, --tls-key {key}: cannot be used ({reason}); give a certificate and its "
+            "private key, both as PEM"
+        ) from error
     return context

@@ -391,7 +391,7 @@ async def serve(scenes: Collection, settings: ServeSettings, on_ready: Callable[
 
 
 def _reason(error: OSError) -> str:
-    return os.strerror(error.errno).lower() if error.errno and error.errno > 0 else str(error)
+    return os.strerror(error.errno).lower() if error.errno and error.errno > 0 else error.strerror or str(error)
 
 
 def _way_out(error: OSError) -> str:

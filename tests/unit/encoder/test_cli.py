@@ -67,8 +67,8 @@ def test_a_bundle_as_a_scene_is_told_with_what_takes_it(
 ) -> None:
     said = refused(capsys, 2, str(bundle / given), str(tmp_path / "b.cags"))
     assert said == (
-        f"cags-encode: SCENE {bundle / given}: is a bundle, which is encoded already; play it with cags-server "
-        f"--bundle {bundle}, or describe it with cags-encode --inspect {bundle}"
+        f"cags-encode: SCENE {bundle / given}: is a bundle, which is encoded already; cags-server --bundle "
+        f"{bundle} plays it, and cags-encode --inspect describes it"
     )
 
 

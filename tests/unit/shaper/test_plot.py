@@ -84,7 +84,7 @@ def test_a_row_that_is_no_sample_is_refused(tmp_path, capsys, row):
     log.write_text(f"{header}\n{json.dumps(SAMPLE)}\n{row}\n")
     assert main(["--plot", str(log)]) == 1
     assert capsys.readouterr().err == (
-        f"cags-shaper: {log}, line 3: is no sample of cags-shaper; give a file written by --log\n"
+        f"cags-shaper: {log}, line 3: is no sample of cags-shaper; give a file written by cags-shaper --log\n"
     )
     assert not (tmp_path / "s.png").exists()
 
@@ -108,3 +108,18 @@ def test_a_missing_log_is_named(tmp_path):
 def test_a_folder_is_no_log(capsys, path):
     assert main(["--plot", path]) == 1
     assert f"{path}: cannot be read" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("content", "what"),
+    [
+        (b"", "is no log of cags-shaper (it is empty)"),
+        (b"hello\n", "is no log of cags-shaper"),
+        (b"\xff\n", "is no log of cags-shaper (byte 0 is not UTF-8)"),
+    ],
+)
+def test_what_is_no_log_is_told_with_what_is(tmp_path, capsys, content, what):
+    log = tmp_path / "s.jsonl"
+    log.write_bytes(content)
+    assert main(["--plot", str(log)]) == 1
+    assert capsys.readouterr().err == f"cags-shaper: {log}: {what}; give a file written by cags-shaper --log\n"

@@ -150,7 +150,7 @@ def test_a_shaper_without_a_server_hangs_up_and_what_to_do_is_told() -> None:
 
 def test_a_refusal_of_lists_in_lists_in_lists_is_a_refusal() -> None:
     head = b"HTTP/1.1 404 Not Found\r\nContent-Length: 90000\r\n\r\n" + b"[" * 90_000
-    with answering(head, b"") as port, pytest.raises(NetworkError, match="404"):
+    with answering(head, b"") as port, pytest.raises(NetworkError, match=r"404 Not Found for its bundle; check that"):
         endpoints.fetch_info(f"ws://127.0.0.1:{port}/stream")
 
 

@@ -1,3 +1,4 @@
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -246,3 +247,9 @@ def test_what_answers_from_memory_is_told(url: str) -> None:
     assert not reader.at_hand(0)
     reader.close()
     assert not reader.at_hand(2)
+
+
+def test_a_store_whose_package_is_missing_is_told_with_what_brings_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "s3fs", None)
+    with pytest.raises(BundleError, match=r"^s3://far/x: .*s3fs.*; pip install 'cags-stream\[scale\]'"):
+        BundleReader.open("s3://far/x")

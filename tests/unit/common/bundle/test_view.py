@@ -73,14 +73,18 @@ def test_hostile_values_are_refused_in_one_line(name: str, value: Any, tmp_path:
 
 @pytest.mark.parametrize(
     ("text", "told"),
-    [('{"titel": "x"}', "'titel' is unknown; known: title"), ("[]", "must be an object"), ("{", "is not JSON")],
+    [
+        ('{"titel": "x"}', "'titel' is unknown; known: title"),
+        ("[]", "must be an object"),
+        ("{", "is not JSON .*; give a file as the page"),
+    ],
 )
 def test_a_file_that_is_no_view_is_refused(text: str, told: str, tmp_path: Path) -> None:
     file = tmp_path / "view.json"
     file.write_text(text)
     with pytest.raises(ConfigError, match=told):
         read_view(str(file))
-    with pytest.raises(ConfigError, match="cannot be read"):
+    with pytest.raises(ConfigError, match=r"cannot be read .*; give a file as the page"):
         read_view(str(tmp_path / "none.json"))
 
 
