@@ -249,7 +249,10 @@ def bound_socket(flag: str, host: str, port: int) -> socket.socket:
     except OSError as error:
         bound.close()
         reason = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be used ({error.strerror})"
-        raise NetworkError(f"--{flag} {host}:{port} {reason}; give another port, or 0 for a free one") from error
+        way_out = "give another port, or 0 for a free one"
+        if error.errno == errno.EADDRNOTAVAIL:
+            way_out = "give an address of this machine"
+        raise NetworkError(f"--{flag} {host}:{port} {reason}; {way_out}") from error
     return bound
 
 

@@ -127,6 +127,7 @@ async def test_a_port_in_use_is_one_clear_line():
         (["--delay-ms", "-5"], 2, "delay_ms = -5.0 must lie in"),
         (["--log", "/nowhere/at/all"], 2, "--log /nowhere/at/all: cannot be written"),
         (["--listen", "not-a-host.invalid:0"], 1, "not-a-host.invalid:0"),
+        (["--listen", "192.0.2.1:0"], 1, "address); give an address of this machine"),
     ],
 )
 def test_wrong_use_is_one_line(capsys, arguments, code, says):

@@ -11,9 +11,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import hmac
 import json
 import logging
+import os
 from collections.abc import Coroutine, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
@@ -118,9 +120,13 @@ class LiveView:
         except OSError as error:
             await self._runner.cleanup()
             reason = error.strerror or str(error)
-            raise NetworkError(
-                f"view_port {port} on {host} cannot be used ({reason}); --view-port 0 picks one"
-            ) from error
+            if error.errno is not None and error.errno > 0:  # that of a name that is not found is negative
+                reason = os.strerror(error.errno).lower()  # asyncio's own words repeat the address
+            if error.errno in (errno.EADDRINUSE, errno.EACCES):
+                way_out = "give another --view-port, or 0 for a free one"
+            else:
+                way_out = "give --view-host an address of this machine, such as 127.0.0.1"
+            raise NetworkError(f"view_port {port} on {host} cannot be used ({reason}); {way_out}") from error
         port = self._runner.addresses[0][1]
         self.url = f"http://{host_port(REACHED_AT.get(host, host), port)}/"
         self._tasks = [watched(part(), self._failed) for part in (self._pump, self._tell)]

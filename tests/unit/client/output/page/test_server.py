@@ -388,12 +388,19 @@ async def test_foreign_hosts_and_origins_are_refused(show: BallShow, client: aio
     assert refused.value.status == 403
 
 
-async def test_a_taken_port_is_one_clear_line(show: BallShow) -> None:
+async def test_a_page_that_cannot_listen_is_one_clear_line(show: BallShow) -> None:
     port = int(show.view.url.rstrip("/").rpartition(":")[2])
-    second = LiveView(ViewSettings(view_port=port), show.view.poses)
-    with pytest.raises(NetworkError, match=f"view_port {port}"):
-        await second.start()
-    await second.stop()
+    for settings, told in (
+        (ViewSettings(view_port=port), rf"view_port {port} .*\(address already in use\); give another --view-port"),
+        (
+            ViewSettings(view_host="192.0.2.1"),
+            r"on 192\.0\.2\.1 .*requested address\); give --view-host",
+        ),
+    ):
+        view = LiveView(settings, show.view.poses)
+        with pytest.raises(NetworkError, match=told):
+            await view.start()
+        await view.stop()
 
 
 async def test_the_address_is_one_that_a_browser_here_can_open(show: BallShow, client: aiohttp.ClientSession) -> None:
