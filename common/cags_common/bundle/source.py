@@ -22,6 +22,9 @@ _VERSION = 1
 _FAST = 1
 """gzip level: byte planes of float32 gain 2 % from level 6 and take five times as long."""
 
+ROWS_AT_ONCE = 256
+"""Splats whose bytes are put in order together: few enough to stay in a processor's cache."""
+
 
 @dataclass(frozen=True, eq=False)
 class SourceFrame:
@@ -113,5 +116,8 @@ def _to_planes(rows: F32) -> bytes:
 
 def _from_planes(raw: bytes, count: int, width: int) -> F32:
     planes = np.frombuffer(raw, np.uint8).reshape(width, 4, count)
-    words = np.ascontiguousarray(planes.transpose(0, 2, 1)).view("<f4")[:, :, 0]
-    return np.ascontiguousarray(words.T, dtype=np.float32)
+    rows = np.empty((count, width), "<f4")
+    values = rows.view(np.uint8).reshape(count, width, 4)
+    for first in range(0, count, ROWS_AT_ONCE):
+        values[first : first + ROWS_AT_ONCE] = planes[:, :, first : first + ROWS_AT_ONCE].transpose(2, 0, 1)
+    return rows.astype(np.float32, copy=False)

@@ -17,7 +17,10 @@ from cags_server.scene.ownership import Owners, advanced
 from cags_server.scene.source_scenes import SourceScenes
 from cags_server.scene.stays import LOOK_AHEAD, Changes, Stays
 from cags_server.scene.tile_map import TileMap
-from cags_server.scene.visible_tiles import Moment, VisibleTile, tiles_of
+from cags_server.scene.visible_tiles import Moment, Tally, VisibleTile, all_looks, tiles_of, tiles_of_looks
+
+TALLY_BYTES = 4 << 20
+"""Bound on the counts of splats by tile and frame in memory."""
 
 OWNER_BYTES, OWNER_FRAMES = 64 << 20, 2 * LOOK_AHEAD
 """Bound on the owner tables in memory, and so many frames' in any case."""
@@ -41,6 +44,7 @@ class SceneLibrary:
         """Squared error of what updates replace, relative to the base layer's; None if unknown."""
         self._owners = Recent[tuple[int, int], Owners](OWNER_BYTES, least=OWNER_FRAMES)  # by (group, frame)
         self._stays = Recent[int, Stays](OWNER_BYTES)  # by frame
+        self._tallies = Recent[int, Tally](TALLY_BYTES)  # by frame
         self._maps: dict[int, TileMap] = {}  # by group
         self._ids = Recent[tuple[int, int], NDArray[np.intp]](OWNER_BYTES)  # by (frame, tile)
         self._lock = threading.Lock()
@@ -121,8 +125,29 @@ class SceneLibrary:
 
         The most visible first: its looks, the motion that it follows and will follow soon, the updates in force.
         """
-        moment = Moment(frame, self.tile_map(frame), self.owned(frame), self._stays_at(frame))
-        return tiles_of(moment, contribution, least)
+        splats = np.flatnonzero(contribution > least)
+        return self.tiles_of(frame, splats, contribution[splats])
+
+    def tiles_of(self, frame: int, splats: NDArray[np.intp], weights: F32) -> tuple[VisibleTile, ...]:
+        """As :meth:`visible_tiles`, of ``splats`` [n], ascending, that contribute ``weights`` [n]."""
+        return tiles_of(self._moment(frame), splats, weights)
+
+    def tiles_of_looks(self, frame: int, seen: Tally) -> tuple[VisibleTile, ...]:
+        """As :meth:`visible_tiles`, of every splat of the tiles of looks ``seen``."""
+        return tiles_of_looks(self._moment(frame), seen)
+
+    def all_looks(self, frame: int) -> Tally:
+        """The tiles of looks that have splats at ``frame``, each splat of the weight 1."""
+        with self._lock:
+            known = self._tallies.get(frame)
+        if known is None:
+            known = all_looks(self._moment(frame))
+            with self._lock:
+                self._tallies.put(frame, known, known.numbers.nbytes + 3 * known.counts.nbytes)
+        return known
+
+    def _moment(self, frame: int) -> Moment:
+        return Moment(frame, self.tile_map(frame), self.owned(frame), self._stays_at(frame))
 
     def _stays_at(self, frame: int) -> Stays:
         """For how long what is there at ``frame`` stays, from the owners in the next ``LOOK_AHEAD`` frames."""

@@ -100,8 +100,10 @@ def _extrapolated(changes: Frames, owners: Numbers, most: int) -> Frames:
     stays = np.minimum(changes, np.uint8(most))
     if most <= LOOK_AHEAD:
         return stays
-    tiles = owners + 1
     outlive = changes == UNCHANGED
+    if outlive.all():
+        return stays
+    tiles = owners + 1
     every = np.bincount(tiles)
     gone = 1.0 - np.bincount(tiles[outlive], minlength=len(every)) / np.maximum(every, 1)
     mean = np.minimum(LOOK_AHEAD / np.maximum(gone, LOOK_AHEAD / most), most).astype(np.uint8)

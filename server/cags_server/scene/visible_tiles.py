@@ -46,40 +46,77 @@ class Moment:
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
-    """Tiles of looks of which something is seen."""
+class Tally:
+    """Tiles, and the splats of each that count."""
 
-    numbers: Numbers  # [m] ascending
+    numbers: Numbers
+    """[m] ascending."""
     counts: NDArray[np.intp]
+    """[m] splats."""
     weights: F64
+    """[m] sum over the splats, pixels."""
     left: F64
+    """[m] mean over the splats, frames."""
 
-    def rows(self, chosen: NDArray[np.intp]) -> _Seen:
-        return _Seen(self.numbers[chosen], self.counts[chosen], self.weights[chosen], self.left[chosen])
-
-
-def tiles_of(moment: Moment, contribution: F32, least: float) -> tuple[VisibleTile, ...]:
-    """Tiles that bring something of a splat whose ``contribution`` [capacity] exceeds ``least``, most visible first."""
-    tiles, owners, stays = moment.tiles, moment.owners, moment.stays
-    splats = np.flatnonzero((contribution > least) & (owners.looks >= 0))
-    seen = _tallied(owners.looks[splats], contribution[splats], stays.looks[splats])
-    out = _visible(tiles, seen, TileKind.LOOKS)
-    out += _motion(tiles, seen, moment.frame, stays.end)
-    if owners.updates is not None and stays.updates is not None:
-        out += _updates(tiles, owners.updates[:, splats], stays.updates[:, splats], contribution[splats])
-    return tuple(sorted(out, key=lambda t: (-t.count, t.frame, t.tile)))
+    def rows(self, chosen: NDArray[np.intp]) -> Tally:
+        """Those of the tiles."""
+        return Tally(self.numbers[chosen], self.counts[chosen], self.weights[chosen], self.left[chosen])
 
 
-def _tallied(numbers: Numbers, weights: F32, left: NDArray[np.uint8]) -> _Seen:
+def all_looks(moment: Moment) -> Tally:
+    """Every tile of looks with splats, each of the weight 1."""
+    looks = moment.owners.looks
+    every = np.bincount(looks + 1)[1:]  # none first
+    there = np.flatnonzero(every)
+    counts: NDArray[np.intp] = every[there]
+    left = _means(looks + 1, moment.stays.looks, there + 1, counts)
+    return Tally(there.astype(np.int32), counts, counts.astype(np.float64), left)
+
+
+def tiles_of(moment: Moment, splats: NDArray[np.intp], weights: F32) -> tuple[VisibleTile, ...]:
+    """Tiles that bring something of ``splats`` [n], ascending, of ``weights`` [n]; those of most splats first."""
+    owners, stays = moment.owners, moment.stays
+    held = owners.looks[splats] >= 0
+    splats, weights = splats[held], weights[held]
+    seen = _tallied(owners.looks[splats], weights, stays.looks[splats])
+    out = _visible(moment.tiles, seen, TileKind.LOOKS) + _motion(moment.tiles, seen, moment.frame, stays.end)
+    return _ordered(out + _updates(moment, splats, weights))
+
+
+def tiles_of_looks(moment: Moment, seen: Tally) -> tuple[VisibleTile, ...]:
+    """Tiles that bring something of tiles of looks, all of whose splats are ``seen``; as :func:`tiles_of`."""
+    out = _visible(moment.tiles, seen, TileKind.LOOKS) + _motion(moment.tiles, seen, moment.frame, moment.stays.end)
+    updates, looks = moment.owners.updates, moment.owners.looks
+    if updates is None or not len(seen.numbers):
+        return _ordered(out)
+    of_one = np.zeros(int(looks.max()) + 1, np.float32)  # the weight of a splat, by its tile of looks
+    of_one[seen.numbers] = seen.weights / seen.counts
+    splats = np.flatnonzero((looks >= 0) & (updates >= 0).any(axis=0))
+    weights = of_one[looks[splats]]
+    return _ordered(out + _updates(moment, splats[weights > 0], weights[weights > 0]))
+
+
+def _ordered(tiles: list[VisibleTile]) -> tuple[VisibleTile, ...]:
+    return tuple(sorted(tiles, key=lambda t: (-t.count, t.frame, t.tile)))
+
+
+def _tallied(numbers: Numbers, weights: F32, left: NDArray[np.uint8]) -> Tally:
     every = np.bincount(numbers)
     there = np.flatnonzero(every)
     counts: NDArray[np.intp] = every[there]
     made_up: F64 = np.bincount(numbers, weights=weights)[there].astype(np.float64)
-    stay: F64 = np.bincount(numbers, weights=left)[there] / counts
-    return _Seen(there.astype(np.int32), counts, made_up, stay)
+    return Tally(there.astype(np.int32), counts, made_up, _means(numbers, left, there, counts))
 
 
-def _visible(tiles: TileMap, seen: _Seen, kind: TileKind, looks: Numbers | None = None) -> list[VisibleTile]:
+def _means(numbers: Numbers, left: NDArray[np.uint8], there: NDArray[np.intp], counts: NDArray[np.intp]) -> F64:
+    """The mean of ``left`` [n] over the ``counts`` [m] splats of each of the tiles ``there`` [m]."""
+    if len(left) and left.min() == left.max():  # as where nothing changes for long: many splats are quick then
+        return np.full(len(there), left[0], np.float64)
+    means: F64 = np.bincount(numbers, weights=left)[there] / counts
+    return means
+
+
+def _visible(tiles: TileMap, seen: Tally, kind: TileKind, looks: Numbers | None = None) -> list[VisibleTile]:
     columns = (seen.numbers.tolist(), seen.counts.tolist(), seen.weights.tolist(), seen.left.tolist())
     of = [None] * len(seen.numbers) if looks is None else [tiles.key(number) for number in looks.tolist()]
     return [
@@ -88,7 +125,7 @@ def _visible(tiles: TileMap, seen: _Seen, kind: TileKind, looks: Numbers | None 
     ]
 
 
-def _motion(tiles: TileMap, seen: _Seen, frame: int, end: int) -> list[VisibleTile]:
+def _motion(tiles: TileMap, seen: Tally, frame: int, end: int) -> list[VisibleTile]:
     """The chunks that tiles of looks follow at ``frame``, and those that they follow next."""
     now, following = tiles.chunk_at(seen.numbers, frame), tiles.chunk_after(seen.numbers, frame)
     changes = np.where(following >= 0, tiles.frames[following], end + 1)
@@ -100,19 +137,22 @@ def _motion(tiles: TileMap, seen: _Seen, frame: int, end: int) -> list[VisibleTi
     return current + _chunks(tiles, seen, np.where(ahead <= CHUNK_AHEAD, following, -1), left)
 
 
-def _chunks(tiles: TileMap, seen: _Seen, chunks: Numbers, left: F64) -> list[VisibleTile]:
+def _chunks(tiles: TileMap, seen: Tally, chunks: Numbers, left: F64) -> list[VisibleTile]:
     chosen = np.flatnonzero((chunks >= 0) & (left > 0))
     of = seen.rows(chosen)
-    moved = _Seen(chunks[chosen], of.counts, of.weights, np.minimum(left[chosen], LONGEST_STAY))
+    moved = Tally(chunks[chosen], of.counts, of.weights, np.minimum(left[chosen], LONGEST_STAY))
     return _visible(tiles, moved, TileKind.MOTION, of.numbers)
 
 
-def _updates(tiles: TileMap, numbers: Numbers, left: NDArray[np.uint8], weights: F32) -> list[VisibleTile]:
-    """Updates [attributes, m] in force of the splats that are seen; a splat counts once in each tile."""
+def _updates(moment: Moment, splats: NDArray[np.intp], weights: F32) -> list[VisibleTile]:
+    """Updates in force of ``splats`` [n], of ``weights`` [n]; a splat counts once in each tile."""
+    if moment.owners.updates is None or moment.stays.updates is None:
+        return []
+    numbers, left = moment.owners.updates[:, splats], moment.stays.updates[:, splats]
     changed = np.flatnonzero((numbers >= 0).any(axis=0))
     numbers, left, weights = numbers[:, changed], left[:, changed], weights[changed]
     counted = numbers >= 0
     for row in range(1, len(numbers)):
         counted[row] &= ~(numbers[:row] == numbers[row]).any(axis=0)
     every = np.broadcast_to(weights, numbers.shape)[counted]
-    return _visible(tiles, _tallied(numbers[counted], every, left[counted]), TileKind.UPDATE)
+    return _visible(moment.tiles, _tallied(numbers[counted], every, left[counted]), TileKind.UPDATE)

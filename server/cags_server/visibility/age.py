@@ -23,6 +23,7 @@ class _Versions:
 
     arrived: NDArray[np.int32]  # [capacity]
     sent: NDArray[np.int32]  # [capacity] those on their way, too
+    number: int = 0  # that of the newest change to ``sent``
 
 
 class VersionAge:
@@ -32,6 +33,7 @@ class VersionAge:
 
     def __init__(self, library: SceneLibrary) -> None:
         self._library = library
+        self._changes = 0
         self.clear()
 
     def clear(self) -> None:
@@ -50,23 +52,34 @@ class VersionAge:
     def shown_with(self, frame: int, more: Iterable[tuple[int, int]]) -> NDArray[np.int32]:
         """[capacity] the tile whose looks of a splat the client shows, or will with ``more`` (media frame, tile).
 
-        By tile numbers within the group of ``frame``; -1: it shows none. A new tile may bring, with what is seen of it,
-        splats that have been replaced since.
+        By tile numbers within the group of ``frame``; -1: it shows none. Never write to it. A new tile may bring, with
+        what is seen of it, splats that have been replaced since.
         """
         versions = self._of(frame)
         if versions is None:
             return np.full(self._library.manifest.capacity[self._library.manifest.gof_of(frame)], -1, np.int32)
+        keys = tuple(more)
+        if not keys:
+            return versions.sent
         shown = versions.sent.copy()
-        for key in more:
+        for key in keys:
             ids = self._library.tile_ids(*key)
             shown[ids] = np.maximum(shown[ids], self._number(*key))
         return shown
+
+    def version(self, frame: int) -> int:
+        """A number that changes with what :meth:`shown_with` says of the group of ``frame``, without more tiles, and
+        with the group.
+        """
+        versions = self._of(frame)
+        return -1 if versions is None else versions.number
 
     def sent(self, frame: int, tile: int) -> None:
         """The looks of a tile's splats were queued; other kinds of tiles change no version."""
         if self._is_looks(frame, tile) and (versions := self._of(frame)) is not None:
             ids = self._library.tile_ids(frame, tile)
             versions.sent[ids] = np.maximum(versions.sent[ids], self._number(frame, tile))
+            self._changed(versions)
 
     def settled(self, frame: int, tile: int, *, delivered: bool) -> None:
         """They have arrived, or will not arrive."""
@@ -78,6 +91,7 @@ class VersionAge:
             versions.arrived[ids] = np.maximum(versions.arrived[ids], number)
         else:
             sent[ids] = np.where(sent[ids] == number, versions.arrived[ids], sent[ids])
+            self._changed(versions)
 
     def lost(self, frame: int, tile: int) -> None:
         """The client has discarded a tile and shows nothing of it."""
@@ -87,6 +101,7 @@ class VersionAge:
             number = self._number(frame, tile)
             for version in (versions.arrived, versions.sent):
                 version[version == number] = -1
+            self._changed(versions)
 
     def frames(self, at: int, frame: int, tile: int) -> float:
         """Frames for which the splats of a tile of looks will have been stale when frame ``at`` is displayed, in the
@@ -145,7 +160,12 @@ class VersionAge:
                 ids = self._library.tile_ids(*key)
                 arrived[ids] = np.maximum(arrived[ids], self._number(*key))
             self._groups[group] = _Versions(arrived, arrived.copy())
+            self._changed(self._groups[group])
         return self._groups.get(group)
+
+    def _changed(self, versions: _Versions) -> None:
+        self._changes += 1
+        versions.number = self._changes
 
     def _held_of(self, gof: int) -> list[tuple[int, int]]:
         frames = self._library.manifest.gof_frames(gof)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 
-from cags_common.geometry import F32, F64, Camera
+from cags_common.geometry import F64, Camera
 from cags_server.scene.library import SceneLibrary
 from cags_server.scene.tile_map import Key, Numbers, TileMap
+from cags_server.scene.visible_tiles import Tally
 
 VIEW_SLACK = 1.2
 """Margin around the picture, in half widths, within which tiles count as in view: viewers move, splats have extent."""
@@ -40,20 +42,16 @@ def _bounds(tiles: TileMap, looks: Numbers, frame: int) -> F64:
     return np.asarray(tiles.bounds[np.where(chunks >= 0, chunks, looks)])
 
 
-def guessed_contribution(library: SceneLibrary, frame: int, camera: Camera, pixels: int) -> F32:
-    """Estimated contribution [capacity] of each splat to a picture of ``pixels``, from tile bounds alone.
+def guessed_looks(library: SceneLibrary, frame: int, camera: Camera, pixels: int) -> Tally:
+    """Tiles of looks of which a picture of ``pixels`` may show something, and how much, from tile bounds alone.
 
     Splats of tiles in view share the pixels by the inverse square of their tile's distance; occlusion is ignored.
     """
-    owners = library.owners(frame)
-    numbers = np.unique(owners[owners >= 0])
-    distances = distances_in_view(_bounds(library.tile_map(frame), numbers, frame), camera)
-    shares = 1.0 / np.square(np.maximum(distances, camera.near))  # 0 for what is out of view
-    out = np.zeros(len(owners), np.float64)
-    held = owners >= 0
-    out[held] = shares[np.searchsorted(numbers, owners[held])]
-    total = out.sum()
-    return np.asarray(out * (pixels / total) if total > 0 else out, np.float32)
+    every = library.all_looks(frame)
+    distances = distances_in_view(_bounds(library.tile_map(frame), every.numbers, frame), camera)
+    seen = every.rows(np.flatnonzero(np.isfinite(distances)))
+    shares = seen.counts / np.square(np.maximum(distances[np.isfinite(distances)], camera.near))
+    return replace(seen, weights=shares * (pixels / shares.sum()) if len(shares) else shares)
 
 
 def distances_in_view(bounds: F64, camera: Camera) -> F64:

@@ -9,6 +9,7 @@ because bounds ignore occlusion; :class:`StaleSplats` covers splats that were re
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,28 +27,47 @@ GHOST_SHARE = 0.1
 """Weight of a possible ghost relative to a visible splat."""
 
 
-def ghosts(
-    library: SceneLibrary, frame: int, camera: Camera, shown: NDArray[np.int32], inventory: ClientInventory
-) -> list[VisibleTile]:
-    """Tiles that replace outdated splats that ``camera`` may see at ``frame``; a splat weighs 1.
+@dataclass(frozen=True, eq=False)
+class ShownLooks:
+    """Tiles of the looks that a client shows, and of those that their splats have in the scene by now."""
 
-    ``shown`` [capacity] is the tile of the displayed looks of each splat, -1 for none.
-    """
-    tiles, owners = library.tile_map(frame), library.owners(frame)
-    counts = np.bincount(shown[shown >= 0])
-    there = np.flatnonzero(counts).astype(np.int32)
+    there: Numbers
+    """[m] ascending."""
+    counts: NDArray[np.intp]
+    """[m] splats shown."""
+    older: Numbers
+    """[k] the shown tile, by pairs of a tile and one that replaces splats of it."""
+    newer: Numbers
+    """[k] the other one."""
+    sizes: NDArray[np.intp]
+    """[k] splats."""
+
+    @staticmethod
+    def of(shown: Numbers, owners: Numbers) -> ShownLooks:
+        """``shown`` [capacity] is the tile of the displayed looks of each splat, ``owners`` [capacity] that of its
+        looks in the scene; -1 for none.
+        """
+        counts = np.bincount(shown[shown >= 0])
+        there = np.flatnonzero(counts)
+        late = np.flatnonzero((shown != owners) & (shown >= 0) & (owners >= 0))
+        (older, newer), sizes = np.unique(np.stack([shown[late], owners[late]]), axis=1, return_counts=True)
+        return ShownLooks(there.astype(np.int32), counts[there], older, newer, sizes)
+
+
+def ghosts(
+    library: SceneLibrary, frame: int, camera: Camera, shown: ShownLooks, inventory: ClientInventory
+) -> list[VisibleTile]:
+    """Tiles that replace outdated splats of what is ``shown`` that ``camera`` may see at ``frame``; each weighs 1."""
+    tiles, there, older, newer = library.tile_map(frame), shown.there, shown.older, shown.newer
     found = _lacking_motion(tiles, there, frame, inventory)
-    late = np.flatnonzero((shown >= 0) & (owners >= 0) & (owners != shown))
-    pairs, sizes = np.unique(np.stack([shown[late], owners[late]]), axis=1, return_counts=True)
-    older, newer = pairs
     in_view = _in_view(tiles, np.concatenate([there[found], older]), frame, camera, inventory)
     following = tiles.chunk_at(older, frame)  # possibly in flight with the looks that it moves
     there_soon = np.isfinite(distances_in_view(tiles.bounds[np.where(following >= 0, following, older)], camera))
     in_view[len(found) :] |= there_soon
     end = library.manifest.gof_frames(library.manifest.gof_of(frame))[-1]
-    standing = there[found][in_view[: len(found)]]
-    chunks = _chunks(tiles, standing, counts[standing].tolist(), frame, end)
-    replaced = zip(newer, sizes, in_view[len(found) :], strict=True)
+    standing = found[in_view[: len(found)]]
+    chunks = _chunks(tiles, there[standing], shown.counts[standing].tolist(), frame, end)
+    replaced = zip(newer, shown.sizes, in_view[len(found) :], strict=True)
     return chunks + _newer(tiles, [(int(n), int(size)) for n, size, seen in replaced if seen], inventory)
 
 
@@ -136,6 +156,17 @@ class StaleSplats:
         out = contribution.copy()
         out[self._ids] = np.maximum(out[self._ids], self._values)
         return out
+
+    def joined(self, splats: NDArray[np.intp], weights: F32, frame: int) -> tuple[NDArray[np.intp], F32]:
+        """As :meth:`added_to`, of ``splats`` [n], ascending, that contribute ``weights`` [n]; all others nothing."""
+        if not len(self._ids) or self._library.manifest.gof_of(frame) != self._gof:
+            return splats, weights
+        both = np.union1d(splats, self._ids)
+        out = np.zeros(len(both), np.float32)
+        out[np.searchsorted(both, splats)] = weights
+        stale = np.searchsorted(both, self._ids)
+        out[stale] = np.maximum(out[stale], self._values)
+        return both, out
 
     def update(self, contribution: F32, frame: int, inventory: ClientInventory) -> None:
         """After ``frame`` was planned: visible and stale splats that are neither held nor in flight are stale now."""

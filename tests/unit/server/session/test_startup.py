@@ -11,7 +11,7 @@ from cags_common.geometry import Camera, Pose
 from cags_common.tiles.kinds import TileKind
 from cags_protocol.wire.messages import FrameEnd, TileLayers
 from cags_server.session.startup import PATIENCE_US, FirstFrame
-from cags_server.visibility.bounds import guessed_contribution, opening_tiles
+from cags_server.visibility.bounds import guessed_looks, opening_tiles
 from support.moving_bundle import FRAMES, moving_library
 from support.server_scene import hello, library
 
@@ -52,16 +52,16 @@ def test_without_a_render_splats_in_view_share_the_picture_and_near_ones_take_mo
     shares = []
     for pose in (Pose.identity(), Pose.looking_at((0, 0, 0), (0, 0, -5))):
         camera = Camera(hello().intrinsics, pose, 0.05)
-        guess = guessed_contribution(scene, 0, camera, 120_000)
+        guess = guessed_looks(scene, 0, camera, 120_000)
         in_view, hidden = opening_tiles(scene, 0, camera)
         assert len(in_view) + len(hidden) == len(np.unique(scene.owners(0)))
-        seen = [(tile.frame, tile.tile) for tile in scene.visible_tiles(0, guess, 0.0)]
-        assert sorted(seen) == sorted(in_view)
-        assert guess.sum() == pytest.approx(120_000 if in_view else 0.0)
-        by_distance = [guess[scene.reader.tile_ids(*key)].mean() for key in in_view]
-        assert by_distance == sorted(by_distance, reverse=True)
-        shares.append(guess)
-    assert not np.array_equal(shares[0], shares[1])
+        visible = {(tile.frame, tile.tile): tile for tile in scene.tiles_of_looks(0, guess)}
+        assert sorted(visible) == sorted(in_view)
+        assert guess.weights.sum() == pytest.approx(120_000 if in_view else 0.0)
+        of_one = [visible[key].weight / visible[key].count for key in in_view]
+        assert of_one == sorted(of_one, reverse=True)
+        shares.append(guess.weights.tolist())
+    assert shares[0] != shares[1]
 
 
 @pytest.mark.parametrize("seed", [3, 4, 5])

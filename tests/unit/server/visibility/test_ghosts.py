@@ -13,7 +13,7 @@ from cags_common.tiles.kinds import TileKind
 from cags_protocol.wire.messages import TileLayers
 from cags_server.scene.library import SceneLibrary
 from cags_server.scene.visible_tiles import VisibleTile
-from cags_server.visibility.ghosts import GHOST_SHARE, ghosts, merged, shown_bounds
+from cags_server.visibility.ghosts import GHOST_SHARE, ShownLooks, ghosts, merged, shown_bounds
 from cags_server.visibility.inventory import ClientInventory
 from support.moving_bundle import GROUP, moving_library
 from support.server_scene import hello
@@ -39,7 +39,11 @@ def key_looks(scene: SceneLibrary) -> list[tuple[int, int]]:
     return [(0, tile.tile) for tile in scene.entry(0).tiles if tile.kind == TileKind.LOOKS]
 
 
-def shown(scene: SceneLibrary, keys: list[tuple[int, int]]) -> np.ndarray:
+def shown(scene: SceneLibrary, keys: list[tuple[int, int]]) -> ShownLooks:
+    return ShownLooks.of(shown_ids(scene, keys), scene.owners(LAST))
+
+
+def shown_ids(scene: SceneLibrary, keys: list[tuple[int, int]]) -> np.ndarray:
     out = np.full(scene.manifest.capacity[0], -1, np.int32)
     for key in keys:
         out[scene.tile_ids(*key)] = scene.tile_map(0).number(*key)
@@ -68,9 +72,9 @@ def test_a_client_that_shows_nothing_has_no_ghosts(scene: SceneLibrary) -> None:
 
 def test_newer_looks_of_what_is_shown_in_view_count_as_visible(scene: SceneLibrary) -> None:
     keys, owners = key_looks(scene), scene.owners(LAST)
-    before = shown(scene, keys)
+    before = shown_ids(scene, keys)
     replaced = {scene.tile_of(0, int(n)) for n in np.unique(owners[(before >= 0) & (owners >= 0) & (owners != before)])}
-    found = ghosts(scene, LAST, AHEAD, before, holding(*keys))
+    found = ghosts(scene, LAST, AHEAD, shown(scene, keys), holding(*keys))
     assert {(tile.frame, tile.tile) for tile in found if tile.kind == TileKind.LOOKS} == replaced
 
 

@@ -73,3 +73,15 @@ def test_what_left_the_picture_while_it_moved_counts_until_its_motion_is_on_its_
     assert lingering.added_to(0 * contribution, frame)[splat] == 1.0, "its looks alone show it where it was"
     lingering.update(0 * contribution, frame, holding(looks, tiles.key(tiles.chunks_until(moving[0], frame)[0])))
     assert not len(lingering)
+
+
+def test_what_lingers_joins_what_is_seen() -> None:
+    lingering = StaleSplats(library(), LEAST)
+    lingering.update(seen(3, 8), 3, holding(*KEY_TILES))
+    for contribution in (seen(8), 0.5 * seen(3, 35), seen()):
+        splats = np.flatnonzero(contribution)
+        ids, weights = lingering.joined(splats, contribution[splats], 4)
+        dense = np.zeros(40, np.float32)
+        dense[ids] = weights
+        assert np.array_equal(dense, lingering.added_to(contribution, 4))
+        assert list(ids) == sorted(set(ids))

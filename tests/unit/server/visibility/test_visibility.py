@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import uuid
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from cags_common.geometry import Camera, Pose
+from cags_protocol.wire.messages import TileLayers
+from cags_server.visibility.age import VersionAge
+from cags_server.visibility.bounds import guessed_looks
 from cags_server.visibility.inventory import ClientInventory
 from cags_server.visibility.visibility import Visibility
+from support.moving_bundle import moving_library
 from support.server_scene import hello, library
 
 LEAST = 0.02
@@ -46,3 +54,39 @@ def test_without_a_render_the_tiles_bounds_say_what_is_in_view() -> None:
     behind = Camera(hello().intrinsics, Pose.looking_at((0, 0, 0), (0, 0, -3), (0, -1, 0)), 0.1)
     assert len(sight.guessed_tiles(0, ahead, 64 * 48)) == 4
     assert sight.guessed_tiles(0, behind, 64 * 48) == ()
+
+
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_a_guess_by_tiles_is_one_by_splats(seed: int) -> None:
+    scene = moving_library(f"memory://{uuid.uuid4().hex}", seed)
+    camera = Camera(hello().intrinsics, Pose.looking_at((0, 0, 0), (0, 0, -5)), 0.05)
+    for frame in range(scene.manifest.frames):
+        owners, guess = scene.owners(frame), guessed_looks(scene, frame, camera, 120_000)
+        contribution = np.zeros(len(owners), np.float32)
+        for number, count, weight in zip(guess.numbers, guess.counts, guess.weights, strict=True):
+            assert count == (owners == number).sum()
+            contribution[owners == number] = weight / count
+        found, wanted = scene.tiles_of_looks(frame, guess), scene.visible_tiles(frame, contribution, 0.0)
+        assert [replace(tile, weight=0.0) for tile in found] == [replace(tile, weight=0.0) for tile in wanted]
+        assert [tile.weight for tile in found] == pytest.approx([tile.weight for tile in wanted], rel=1e-5)
+
+
+def test_what_is_shown_is_looked_up_again_when_it_changes() -> None:
+    served = library()
+    sight, age = Visibility(served, LEAST), VersionAge(served)
+    ahead = Camera(hello().intrinsics, Pose.identity(), 0.1)
+    inventory = ClientInventory()
+    for tile in range(4):
+        age.sent(0, tile)
+        inventory.delivered(TileLayers(0, tile, 0, 1, (1,), (0,)))
+    late = {(t.frame, t.tile) for t in sight.with_ghosts((), 4, ahead, inventory, age)}
+    assert late, "splats have changed by frame 4"
+    assert {(t.frame, t.tile) for t in sight.with_ghosts((), 0, ahead, inventory, age)} == set()
+    for key in late:
+        age.sent(*key)
+        inventory.delivered(TileLayers(*key, 0, 1, (1,), (0,)))
+    assert sight.with_ghosts((), 4, ahead, inventory, age) == ()
+    for key in late:
+        age.lost(*key)
+        inventory.reduced(*key, 0)
+    assert sight.with_ghosts((), 4, ahead, inventory, age) == (), "nothing of them is shown"
