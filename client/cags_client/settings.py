@@ -75,10 +75,12 @@ class ClientSettings:
         high=MAX_SPLATS,
     )
     max_memory_mb: float = setting(
-        2048.0,
-        "largest memory for displayed splats, MB; streams that need more are refused",
-        low=1.0,
+        0.0,
+        "largest memory for displayed splats, MB; streams that need more are refused; auto (or 0): half of the "
+        "machine's, 4096 at most",
+        low=0.0,
         high=1e6,
+        words={"auto": 0.0},
     )
     start_frame: int = setting(0, "first media frame to play", low=0)
     duration: float | None = setting(None, "playing time, seconds; the whole clip when not given", low=0.001)

@@ -6,6 +6,7 @@ import asyncio
 import signal
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -42,10 +43,10 @@ async def nowhere(attempt: int) -> MemoryTransport:
     raise NetworkError("there is no other server")
 
 
-def shell() -> tuple[Shell, MemoryTransport]:
+def shell(**settings: Any) -> tuple[Shell, MemoryTransport]:
     """A client's shell that has said Hello, and the server's end of its connection."""
     ours, theirs = memory_pair()
-    made = Player(ClientSession(now_us=now_us()), ClientSettings(), Still(), now_us=now_us())
+    made = Player(ClientSession(now_us=now_us()), ClientSettings(**settings), Still(), now_us=now_us())
     return Shell(ours, made, (), None, nowhere), theirs
 
 
@@ -69,7 +70,7 @@ async def test_groups_larger_than_the_viewer_gives_memory_for_end_the_play_at_on
 
 
 async def test_groups_that_take_more_memory_than_the_viewer_gives_end_the_play_at_once() -> None:
-    client, server = shell()
+    client, server = shell(max_memory_mb=2048.0)
     huge = replace(MANIFEST, sh_degree=3, capacity=(3_000_000,))
     await server.send(encode(Welcome("s", 30.0, 3, False, huge.to_json())))
     async with asyncio.timeout(5):

@@ -51,3 +51,14 @@ def test_memory_grows_with_the_degree_of_the_harmonics() -> None:
         affordable(stream(splats, sh_degree=degree), enough)
         with pytest.raises(NetworkError, match="--max-memory-mb"):
             affordable(stream(splats + 2, sh_degree=degree), enough)
+
+
+@pytest.mark.parametrize(("machine", "given"), [(3_000.0, 1500), (64_000.0, 4096), (None, 2048)])
+def test_half_of_the_machines_memory_is_given_by_default(
+    machine: float | None, given: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cags_client.playback.endings.memory_mb", lambda: machine)
+    splats = int(given * 1e6 / (COPIES * 4 * (14 + 45)))
+    affordable(stream(splats, sh_degree=3), ClientSettings())
+    with pytest.raises(NetworkError, match=f"this client gives {given}; see --max-memory-mb"):
+        affordable(stream(splats + 10, sh_degree=3), ClientSettings())
