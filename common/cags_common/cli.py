@@ -174,11 +174,11 @@ def _ending_in_order(alone: bool) -> Iterator[None]:
         yield
         return
     usual = {number: handler for number in REQUESTS if (handler := signal.getsignal(number)) in AS_PYTHON_STARTS}
-    heard = False
+    asked = False
 
     def end(number: int, _: object) -> None:
-        nonlocal heard
-        heard = True
+        nonlocal asked
+        asked = True
         leave_at_next()
         raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(EXIT_SIGNAL + number)
 
@@ -194,7 +194,7 @@ def _ending_in_order(alone: bool) -> Iterator[None]:
         if not alone:
             for number, handler in usual.items():
                 signal.signal(number, handler)
-        elif not heard:
+        elif not asked:
             leave_at_next(-math.inf)
 
 

@@ -116,7 +116,8 @@ def add_flags(parser: argparse._ActionsContainer, cls: type[DataclassInstance]) 
         if "help" not in f.metadata:
             continue
         kind, _ = _plain_type(hints[f.name])
-        text = f.metadata["help"] + ("" if f.default in (None, MISSING, "") else f" (default: {f.default})")
+        default = next((word for word, number in f.metadata["words"].items() if number == f.default), f.default)
+        text = f.metadata["help"] + ("" if default in (None, MISSING, "") else f" (default: {default})")
         flag = "--" + f.name.replace("_", "-")
         text = text.replace("%", "%%")
         if kind is bool:

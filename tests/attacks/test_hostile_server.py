@@ -37,7 +37,7 @@ class Watched:
 def watch(url: str, *flags: str, interrupt: Callable[[], object] | None = None) -> Watched:
     """A client at ``url``; ``interrupt``: SIGTERM two seconds after this is so, from when on seconds are counted."""
     command = [sys.executable, "-m", "cags_client", "--url", url, "--width", "96", "--height", "72", "--json", "-"]
-    command += ["--join-timeout", "3", "--reconnect-s", "3", "--max-memory-mb", "1024", *flags]
+    command += ["--join-timeout", "3", "--reconnect-s", "3", *flags]
     began = time.monotonic()
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
         try:

@@ -113,8 +113,11 @@ def _capacity(message: Any, payload: bytes) -> tuple[Any, bytes]:
 
 
 def lie_of_capacity(info: bytes) -> bytes:
-    """A manifest whose groups of frames are said to hold 3,900,000 splats each."""
+    """A manifest whose groups of frames are said to hold 3,900,000 splats each, of the highest degree: below the
+    client's limit on splats, and beyond the memory that it gives on any machine.
+    """
     table = json.loads(info)
+    table["sh_degree"] = 3
     table["capacity"] = [3_900_000] * len(table["capacity"])
     return json.dumps(table).encode()
 

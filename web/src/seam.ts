@@ -65,7 +65,7 @@ export interface SceneInfo {
   readonly gofStarts: readonly number[];
   /** Splat ids of each group: rows of the GPU's buffers. */
   readonly capacity: readonly number[];
-  /** Whether decoders keep all groups of frames, so that the clip loops, and is jumped in, from what they hold. */
+  /** Whether decoders keep all groups of frames, and so can loop the clip and seek in it without new data. */
   readonly keptWhole: boolean;
   readonly shDegree: 0 | 1 | 2 | 3;
   /** Smallest and largest corner of all positions. */

@@ -141,7 +141,7 @@ class Manifest:
 
     @property
     def kept_whole(self) -> bool:
-        """Whether decoders keep all groups of frames, so that the clip loops, and is jumped in, from what they hold."""
+        """Whether decoders keep all groups of frames, and so can loop the clip and seek in it without new data."""
         return len(self.gof_starts) == 1 or sum(self.capacity) <= MAX_WHOLE_SPLATS
 
     def to_json(self) -> bytes:

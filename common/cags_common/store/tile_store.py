@@ -148,14 +148,14 @@ class TileStore:
         others rest.
         """
         with self._lock:
-            self._oldest = gof
+            self._oldest = min(gof, wanted)  # later where the last group is shown before the first
             stores = self._gofs.values()
             kept = sum(store.kept_splats for store in stores) if self._opener.bounded else 0
             self._whole &= all(store.keeps for store in stores) and kept <= gof_tiles.MAX_KEPT_SPLATS
             for number in [number for number in self._gofs if number not in (gof, wanted)]:
                 if self._whole:
                     self._gofs[number].rest()
-                elif number < gof:
+                elif number < self._oldest:
                     del self._gofs[number]
 
     def move(self, frame: int, share: float) -> tuple[GofBuffer, Committed] | None:

@@ -291,9 +291,9 @@ class _Linking:
         if self._open():
             self._search(expected, FEW)
         if self._open():
-            self._search_byvelocities_at()
+            self._search_by_flow()
         if self._open() and self._search_by_looks():
-            self._search_byvelocities_at()
+            self._search_by_flow()
         if not self._by_rows:
             self._settle(expected)
         rows = by_row[self._free[by_row] & (self.rows[by_row] < 0)]
@@ -404,7 +404,7 @@ class _Linking:
         score = np.minimum(place, LIMIT) + looks
         return np.where((place <= reach * reach) & (score <= ACCEPTED), score, np.inf)
 
-    def _search_byvelocities_at(self) -> None:
+    def _search_by_flow(self) -> None:
         """Look for the rest where their neighbours went."""
         linked = np.flatnonzero(self.rows >= 0)
         if len(linked):

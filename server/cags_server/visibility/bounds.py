@@ -49,8 +49,9 @@ def guessed_looks(library: SceneLibrary, frame: int, camera: Camera, pixels: int
     """
     every = library.all_looks(frame)
     distances = distances_in_view(_bounds(library.tile_map(frame), every.numbers, frame), camera)
-    seen = every.rows(np.flatnonzero(np.isfinite(distances)))
-    shares = seen.counts / np.square(np.maximum(distances[np.isfinite(distances)], camera.near))
+    near = np.flatnonzero(np.isfinite(distances))
+    seen = every.rows(near)
+    shares = seen.counts / np.square(np.maximum(distances[near], camera.near))
     return replace(seen, weights=shares * (pixels / shares.sum()) if len(shares) else shares)
 
 

@@ -139,6 +139,17 @@ def test_help_shows_defaults_and_survives_percent_signs(capsys):
     assert "100 % of the link (default: 1.5)" in " ".join(capsys.readouterr().out.split())
 
 
+def test_help_shows_a_default_by_its_word(capsys):
+    @dataclass(frozen=True)
+    class Room:
+        memory: float = setting(0.0, "memory, MB; auto (or 0): half of it", low=0, words={"auto": 0.0})
+
+    parser = argparse.ArgumentParser()
+    add_settings(parser, Room)
+    parser.print_help()
+    assert "half of it (default: auto)" in capsys.readouterr().out
+
+
 def test_one_file_may_serve_several_commands(tmp_path):
     config = tmp_path / "c.toml"
     config.write_text('port = 1\nmode = "exact"\n[server]\nanything = 3\n[client]\nport = 2\n')

@@ -141,14 +141,14 @@ export class TileStore {
 
   /** Group `gof` is on display in place of `wanted`: past ones are dropped; where the clip is kept whole, the others rest. */
   private showGroup(gof: number, wanted: number): void {
-    this.oldest = gof;
+    this.oldest = Math.min(gof, wanted); // later where the last group is shown before the first
     const stores = [...this.gofs.values()];
     const kept = stores.reduce((sum, store) => sum + store.keptSplats, 0);
     this.whole &&= stores.every((store) => store.keeps) && kept <= MAX_KEPT_SPLATS;
     for (const [number, store] of [...this.gofs]) {
       if (number === gof || number === wanted) continue;
       if (this.whole) store.rest();
-      else if (number < gof) this.gofs.delete(number);
+      else if (number < this.oldest) this.gofs.delete(number);
     }
   }
 

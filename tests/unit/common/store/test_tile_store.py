@@ -224,6 +224,25 @@ def test_a_clip_whose_groups_together_are_too_much_is_kept_no_more(
     assert store.kept == range(8), "from the beginning"
 
 
+def test_a_clip_that_is_kept_no_more_goes_on_where_nothing_of_the_frame_is_there(
+    store: TileStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The last group is shown in place of the first: what stops being kept then is not what comes."""
+    store.add(4, 0, 0, [base([0], 7)])
+    store.end(4, removed())
+    store.add(6, 0, 0, [base([0], 8)])
+    store.end(6, removed())
+    store.commit(7)
+    monkeypatch.setattr("cags_common.store.gof_tiles.MAX_KEPT_SPLATS", 0)
+    for frame in (0, 1):
+        gof, committed = store.commit(frame)
+        assert committed.missed
+        assert gof.splats.means[0, 0] == 8
+    store.add(0, 0, 0, [base([0], 1)])
+    store.end(1, removed())
+    assert xs(store, 1)[0] == 1
+
+
 def test_damage_is_refused_and_what_was_held_stays(store: TileStore) -> None:
     store.add(0, 0, 0, [base([0], 1)])
     store.end(0, removed())
