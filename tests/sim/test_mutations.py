@@ -220,6 +220,7 @@ def test_nothing_is_red_without_a_change() -> None:
     sure([31.0] * LONG, [30.0] * LONG)
     assert unlisted("scene", ["a/plant.splat"]) == []
     check_page(Page(FILE, ("abcdef1",)), {}, Told(30))
+    check_page(Page(FILE, ("abcdef1",)), {FILE: "abcdef1"}, Told(21))
     check_page(Page(FILE, ("abcdef1",)), {FILE: "abcdef1"}, Told(31))
     check_told("# Evaluation\n\n## Summary\n\nOf abcdef1.\n", {FILE: "abcdef1"})
     assert listed_old("## Figures older than their code\n\n- `a` (abcdef1)\n\n## 1.0\n\n- `b` (abcdef2)\n") == {
