@@ -17,7 +17,7 @@ from cags_common.raster.base import Footprint, RenderOptions
 from cags_common.store.tile_decode import Arrival
 from cags_common.store.tile_store import TileStore
 from cags_common.video.colour import Chroma
-from cags_common.video.h264 import H264Encoder
+from cags_common.video.h264 import H264Decoder, H264Encoder
 from cags_protocol.wire.messages import FrameEnd, Mark, ReferenceFrame, ReferenceKind, TileLayers
 
 VIEW = Intrinsics.of_fov(80, 60, 1.3, 1.1)
@@ -67,9 +67,11 @@ class Stage:
         assert self.pipe.on_reference(message, memoryview(unit))
 
     def reference(
-        self, frame: int, pose: Pose, kind: ReferenceKind = ReferenceKind.DIFFERENCE
+        self, frame: int, pose: Pose, kind: ReferenceKind = ReferenceKind.DIFFERENCE, *, crf: float | None = None
     ) -> tuple[ReferenceFrame, bytes]:
-        """As :meth:`refer`, but the reference does not come by itself."""
+        """As :meth:`refer`, but the reference does not come by itself. ``crf``: of a picture's video, which then says
+        what it has left.
+        """
         basis = self.mark()
         if kind is ReferenceKind.NOTHING:
             return ReferenceFrame(frame, self._seq, pose, VIEW, kind=kind.value, basis=basis), b""
@@ -80,8 +82,11 @@ class Stage:
         if kind is ReferenceKind.DIFFERENCE:
             store, _ = self._mirror.commit(frame, basis)
             coded = compand(truth - self._drawn(store.splats, camera), KNEE).astype(np.float32)
-        unit = H264Encoder(VIEW.width_px, VIEW.height_px, 30, chroma=Chroma.FULL).encode(coded, idr=True)
-        return ReferenceFrame(frame, self._seq, pose, VIEW, True, kind.value, basis, KNEE), unit
+        quality = {} if crf is None else {"crf": crf}
+        unit = H264Encoder(VIEW.width_px, VIEW.height_px, 30, chroma=Chroma.FULL, **quality).encode(coded, idr=True)
+        decoded = None if crf is None else H264Decoder().decode(unit)
+        error = 0.0 if decoded is None else float(np.square(decoded - coded).mean())
+        return ReferenceFrame(frame, self._seq, pose, VIEW, True, kind.value, basis, KNEE, error), unit
 
     def _drawn(self, splats: object, camera: Camera) -> F32:
         footprint = Footprint.of(self.pipe.settings.intrinsics, camera.intrinsics)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from cags_client.frame.restore import expected_psnr_db
 from cags_common.bundle.codecs import TileCodec
 from cags_common.bundle.manifest import Manifest
 from cags_common.errors import DecodeError
@@ -32,6 +33,7 @@ class Recorder:
         self.whole = whole
         self.store = TileStore(manifest, codec)
         self._camera, self._manifest = camera, manifest
+        self._errors = np.array([10 ** (-expected_psnr_db(lod, manifest) / 10) for lod in range(manifest.lods)])
         self._pass()
 
     @property
@@ -100,6 +102,7 @@ class Recorder:
             "ahead": self.store.ahead(0),
             "dropped": len(self.store.take_dropped()),
             "lodMean": None if math.isnan(mean) else mean,
+            "ownError": None if math.isnan(mean) else gof.shown.error_mean(self._camera, self._errors),
         }
 
 

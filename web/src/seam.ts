@@ -185,6 +185,8 @@ export interface FrameUpdate {
   readonly full: boolean;
   /** Mean level of detail of what is in the view of the last pose sent; NaN where nothing is. */
   readonly lodMean: number;
+  /** Mean squared error that it is expected to have, RGB from 0 to 1; NaN where nothing is. */
+  readonly ownError: number;
   /** What is there after this frame, ms of play. */
   readonly bufferMs: number;
   /** Newest mark of the store. */

@@ -69,8 +69,9 @@ class Referring:
         seen = view or moment.view()
         if reference is None:
             return seen.rgb
-        own = self._seen(moment.held) if reference.reference.picture else None
-        return correction.create().correct(seen, moment.camera, reference.reference, own).rgb
+        given = reference.reference(moment.own_error)
+        own = self._seen(moment.held) if given.picture else None
+        return correction.create().correct(seen, moment.camera, given, own).rgb
 
     def _seen(self, scene: RasterScene) -> F32:
         camera = self.camera

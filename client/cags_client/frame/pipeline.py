@@ -74,6 +74,7 @@ class ClientPipeline:
         prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
         self._aligner = align.create(settings.align, prpa)
         self._weights: bytes | None = None
+        self._errors = np.array([10 ** (-expected_psnr_db(lod, info) / 10) for lod in range(info.lods)])
         self._restorer_wanted = self.live.restore
         self._restorer = self._made_restorer()
 
@@ -351,7 +352,8 @@ class ClientPipeline:
             since = reference.frame, reference.basis if reference.assumes else None
             changed = self._changes.spheres(since, store.splats, canvas.camera, reference.camera.intrinsics.fx_px)
         stale = 1.0 - weight if Pass.FADE in plan else 0.0
-        return Correction(reference.reference, canvas.display.intrinsics, changed=changed, stale=stale)
+        own_error = store.shown.error_mean(canvas.camera, self._errors)
+        return Correction(reference.reference(own_error), canvas.display.intrinsics, changed=changed, stale=stale)
 
     def _restored(
         self,

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 from cags_client.store.picture import ReferencePicture
 from cags_common.correction import Reference
 from cags_common.correction.reach import HOLDS
+from cags_common.correction.trust import doubted
 from cags_common.errors import DecodeError
 from cags_common.geometry import DEFAULT_NEAR, F32, Camera
 from cags_common.video.h264 import H264Decoder
@@ -42,18 +44,23 @@ class Received:
     seq: int = 0
     reach: float = HOLDS
     """How far from its camera a difference holds, radians."""
+    _for_correctors: list[Reference] = field(default_factory=list)
 
     @property
     def assumes(self) -> bool:
         """Whether it is valid for its basis only; a picture is compared with whatever the client holds."""
         return self.kind is not ReferenceKind.PICTURE
 
-    @cached_property
-    def reference(self) -> Reference:
-        """The form for correctors."""
+    def reference(self, own_error: float = math.nan) -> Reference:
+        """The form for correctors, the same one for about the same ``own_error``: the mean squared error that the
+        client's own splats are expected to have, RGB in [0, 1].
+        """
         assert self.coded is not None, "a reference that says nothing corrects nothing"
         picture = self.kind is ReferenceKind.PICTURE
-        return Reference(self.coded, self.camera, picture, self.knee, self.error if picture else 0.0)
+        error = doubted(self.error, own_error) if picture else 0.0
+        if not self._for_correctors or self._for_correctors[0].error != error:
+            self._for_correctors[:] = [Reference(self.coded, self.camera, picture, self.knee, error)]
+        return self._for_correctors[0]
 
     @cached_property
     def picture(self) -> ReferencePicture | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 
@@ -12,6 +14,11 @@ AROUND_PX = 3
 
 NOISE_WEIGHT = 2.0
 """Weight of the coding error, which varies over the picture."""
+
+MOST_DOUBTED = 0.01
+"""Largest error for which a picture is taken that is coarser than the client's own splats: a difference of a quarter of
+the range, as where splats are missing, still counts.
+"""
 
 LEAST_POWER = 1e-9
 
@@ -49,6 +56,21 @@ def layer(coded: F32, own: F32, error: float) -> F32:
     out[..., :3] = share[..., None] * (coded - kept[..., None] * own)
     out[..., 3] = share * (1 - kept)
     return out
+
+
+def doubted(error: float, own_error: float) -> float:
+    """The error for which to take a picture whose coding left ``error``, in a view whose splats are expected to have
+    ``own_error``; mean squares of RGB in [0, 1], and NaN where nothing is known.
+
+    Where the splats are better than the picture, they differ from it for other reasons: they are not there yet, or the
+    scene has moved on since the picture was made. :func:`layer` cannot tell their error then, because what has moved
+    looks like it, and would lay the coding error over everything. The picture's error is raised by the ratio of the
+    two, in steps of an octave.
+    """
+    if not 0 <= own_error < error:
+        return error
+    octaves = round(math.log2(error / max(own_error, LEAST_POWER)))
+    return max(error, min(error * 2.0**octaves, MOST_DOUBTED))
 
 
 def _product(a: F32, b: F32) -> F32:

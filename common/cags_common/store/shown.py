@@ -63,17 +63,28 @@ class Shown:
         Splats are weighted by ``contribution`` [capacity] to the picture. If it is unknown, the splats of tiles whose
         bounding spheres meet the view count equally.
         """
+        lods, weights = self._in_view(camera, contribution)
+        return float((weights * lods).sum() / weights.sum()) if weights.sum() > 0 else float("nan")
+
+    def error_mean(self, camera: Camera, errors: NDArray[np.float64]) -> float:
+        """Mean, over the displayed splats in view, of what their LoD has of ``errors`` [lods]; NaN for none. Unlike the
+        error at the mean LoD it tells a picture of which a part is coarse from one of middling detail.
+        """
+        lods, weights = self._in_view(camera, None)
+        return float((weights * errors[lods]).sum() / weights.sum()) if weights.sum() > 0 else float("nan")
+
+    def _in_view(self, camera: Camera, contribution: F32 | None) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+        """Displayed LoDs of tiles, and how much each counts."""
         tiles = [tile for tile in self.tiles if tile.on_display and tile.shown_lod >= 0]
         if not tiles:
-            return float("nan")
+            return np.zeros(0, np.intp), np.zeros(0)
         if contribution is not None:
             held = self.owner >= 0
             of_all = np.bincount(self.owner[held], weights=contribution[held], minlength=len(self.tiles))
             weights = of_all[[tile.index for tile in tiles]]
         else:
             weights = np.array([tile.owned for tile in tiles]) * in_view([tile.sphere for tile in tiles], camera)
-        lods = np.array([tile.shown_lod for tile in tiles], np.float64)
-        return float((weights * lods).sum() / weights.sum()) if weights.sum() > 0 else float("nan")
+        return np.array([tile.shown_lod for tile in tiles], np.intp), weights.astype(np.float64)
 
     def visible_lods(self, contribution: F32) -> dict[Key, int]:
         """Displayed LoDs of each tile that has a splat with a ``contribution`` [capacity] to the picture."""

@@ -29,10 +29,15 @@ export interface FileEntry {
   readonly sizeBytes: number;
 }
 
+/** PSNR of the lowest and the highest level where the encoder did not measure it; as `cags_client.frame.restore`. */
+const [TYPICAL_BASE_DB, TYPICAL_TOP_DB] = [27, 51];
+
 /** What a decoder needs besides what a player knows. */
 export interface Manifest extends Omit<SceneInfo, "waits"> {
   readonly lodOrder: readonly LodLayer[];
   readonly lodGainsDb: readonly number[];
+  /** Mean squared error that pictures of each LoD are expected to have, RGB from 0 to 1. */
+  readonly lodErrors: readonly number[];
   /** Finest units of motion by the base code of scale: metres, and of a quaternion's imaginary part. */
   readonly motion: { readonly moves: readonly number[]; readonly turns: readonly number[] } | undefined;
   /** Where tiles lie; empty in the public part. */
@@ -62,6 +67,9 @@ function read(fields: Fields, table: Record<string, unknown>): Manifest {
   const lodOrder = fields.many("lod_order", lodLayer, MAX_LODS - 1);
   const gofStarts = fields.many("gof_starts", (f) => f.integer("", 0, MAX_FRAMES), MAX_FRAMES);
   const capacity = fields.many("capacity", (f) => f.integer("", 0, MAX_SPLATS), MAX_FRAMES);
+  const lods = lodOrder.length + 1;
+  const lodGainsDb = fields.many("lod_gains_db", (f) => f.number("", -1e3, 1e3), MAX_LODS - 1);
+  const baseDb = fields.has("base_psnr_db") ? fields.number("base_psnr_db", -1e3, 1e3) : TYPICAL_BASE_DB;
   return {
     name: fields.text("name"),
     fps: fields.number("fps", 1e-3, 1000),
@@ -72,8 +80,9 @@ function read(fields: Fields, table: Record<string, unknown>): Manifest {
     shDegree: fields.integer("sh_degree", 0, 3) as 0 | 1 | 2 | 3,
     bounds: fields.corners("bounds"),
     lodOrder,
-    lods: lodOrder.length + 1,
-    lodGainsDb: fields.many("lod_gains_db", (f) => f.number("", -1e3, 1e3), MAX_LODS - 1),
+    lods,
+    lodGainsDb,
+    lodErrors: expectedDb(lods, baseDb, lodGainsDb).map((db) => 10 ** (-db / 10)),
     codec: fields.text("codec"),
     up: fields.vector("up"),
     focusCentre: fields.vector("focus_centre"),
@@ -85,6 +94,15 @@ function read(fields: Fields, table: Record<string, unknown>): Manifest {
     files: fields.has("gofs") ? fields.many("gofs", (f) => fileEntry(f.inner("tiles")), MAX_FRAMES) : [],
     manifest: table,
   };
+}
+
+/** PSNR that pictures of each LoD are expected to have, as `cags_client.frame.restore.expected_psnr_db` says. */
+function expectedDb(lods: number, baseDb: number, gainsDb: readonly number[]): number[] {
+  const won = [0];
+  for (const gain of gainsDb) won.push(won.at(-1)! + Math.max(gain, 0));
+  if (won.at(-1)! > 0 && won.length === lods) return won.map((db) => baseDb + db);
+  const range = Math.max(TYPICAL_TOP_DB - baseDb, 0);
+  return Array.from({ length: lods }, (_, lod) => baseDb + Math.sqrt(lods > 1 ? lod / (lods - 1) : 1) * range);
 }
 
 function checked(m: Manifest): Manifest {
@@ -123,7 +141,7 @@ export function gofRange(info: Pick<SceneInfo, "gofStarts" | "frames">, gof: num
 
 /** The part that pages may know, which can be posted between threads. */
 export function sceneInfo(m: Manifest, waits: boolean): SceneInfo {
-  const { lodOrder: _order, lodGainsDb: _gains, motion: _motion, files: _files, ...info } = m;
+  const { lodOrder: _order, lodGainsDb: _gains, lodErrors: _errors, motion: _motion, files: _files, ...info } = m;
   return { ...info, waits };
 }
 

@@ -40,6 +40,8 @@ export interface FrameOptions {
   readonly footprint: Footprint;
   readonly maxShDegree: number;
   readonly reference?: CodedReference | undefined;
+  /** Mean squared error for which to take a picture, RGB from 0 to 1; without: what coding has left. */
+  readonly error?: number;
   /** Of the display: with which footprint the client's own view of a picture is drawn. */
   readonly display: Intrinsics;
   /** Boxes of cells of what changed since the reference was made, as `cellBoxes` packs them: where they are seen nothing is
@@ -259,7 +261,8 @@ export class Renderer {
     made: { options: FrameOptions; reference: CodedReference; counts: Counts; named: Named },
   ): HeldReference {
     const { options, reference, counts, named } = made;
-    const seen = reference.picture ? JSON.stringify([scene.changes, options.display, options.exactness, options.maxShDegree]) : "";
+    const error = options.error ?? reference.error;
+    const seen = reference.picture ? JSON.stringify([scene.changes, options.display, options.exactness, options.maxShDegree, error]) : "";
     const under = `${scene.keptVersion} ${seen}`;
     if (this.#held?.reference === reference && this.#held.under === under) return this.#held;
     this.gpu.device.queue.writeBuffer(named.coded, 0, reference.coded);
@@ -268,7 +271,7 @@ export class Renderer {
       const { intrinsics } = reference.camera;
       const footprint = footprintOf(options.display, intrinsics);
       const own = scene.record(encoder, reference.camera, { ...drawing(options), footprint }, "own");
-      const job = COMPARE.pack({ size: [intrinsics.widthPx, intrinsics.heightPx], error: reference.error });
+      const job = COMPARE.pack({ size: [intrinsics.widthPx, intrinsics.heightPx], error });
       this.gpu.device.queue.writeBuffer(target.compare, 0, job);
       bound.own = own.get("picture");
       bound.compare_job = target.compare;

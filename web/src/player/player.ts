@@ -8,6 +8,7 @@
 
 import { atHalfResolution, CLASSIC, type Exactness, type Footprint } from "../gpu/layout.ts";
 import type { CodedReference, FrameOptions, FrameTimes, Renderer } from "../gpu/renderer.ts";
+import { doubted } from "../playback/doubt.ts";
 import { apart, validShare } from "../playback/reach.ts";
 import { References } from "../playback/references.ts";
 import { type Camera, type FrameUpdate, type Intrinsics, nowUs, type PlayState, type Pose, type PoseSample, type Reference, type SceneInfo, type SceneSource, type SourceError, type SourceEvent, type Status, within } from "../seam.ts";
@@ -472,7 +473,7 @@ export class Player {
     const { changed } = update;
     const weight = this.#weight(found.reference, frame, camera);
     if (!weight) return plain;
-    return { ...plain, reference: found.picture, stale: 1 - weight, ...(changed ? { changed: cellBoxes(changed.positions, changed.radii, camera) } : {}) };
+    return { ...plain, reference: found.picture, error: doubted(found.picture.error, update.ownError), stale: 1 - weight, ...(changed ? { changed: cellBoxes(changed.positions, changed.radii, camera) } : {}) };
   }
 
   /** Of a reference: 1 up to half of the allowed age, then falling to 0; of a difference less beyond its reach. */

@@ -123,6 +123,7 @@ export class SceneStore {
       changedRows: committed.rows.length, movedRows: committed.moved.length, shDegree: this.shDegree,
       missed: committed.missed, full: store.full && !committed.missed,
       lodMean: view ? store.lodMean(view) : NaN,
+      ownError: view ? store.errorMean(view) : NaN,
       bufferMs: (this.store.ahead(frame) * 1e3) / this.manifest.fps, mark: this.mark,
       ...(changed ? { changed } : {}),
       workMs: performance.now() - begun,

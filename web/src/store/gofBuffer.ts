@@ -262,12 +262,21 @@ export class GofBuffer {
 
   /** Mean LoD of the shown splats of tiles whose bounding sphere meets the view; NaN where none does. */
   lodMean(camera: Camera): number {
+    return this.meanInView(camera, (lod) => lod);
+  }
+
+  /** Mean squared error that these splats are expected to have, RGB from 0 to 1; NaN likewise. */
+  errorMean(camera: Camera): number {
+    return this.meanInView(camera, (lod) => this.manifest.lodErrors[lod]!);
+  }
+
+  private meanInView(camera: Camera, of: (lod: number) => number): number {
     let [weights, sum] = [0, 0];
     const meets = viewCone(camera);
     for (const tile of this.shown) {
       if (!tile.onDisplay || tile.shownLod < 0 || !meets(tile.sphere)) continue;
       weights += tile.owned;
-      sum += tile.owned * tile.shownLod;
+      sum += tile.owned * of(tile.shownLod);
     }
     return weights > 0 ? sum / weights : NaN;
   }

@@ -45,6 +45,7 @@ function shown(store: TileStore, gof: GofBuffer, committed: Committed): Record<s
     ahead: store.ahead(0),
     dropped: store.takeDropped().length,
     lodMean: Number.isNaN(mean) ? null : mean,
+    ownError: Number.isNaN(mean) ? null : gof.errorMean(CAMERA),
   };
 }
 
@@ -99,11 +100,13 @@ test("after every step the store shows what Python's shows", async () => {
     const codec = new TileCodec(manifest, fromBase64(script.codebooks), wasm, decoder);
     const store = new TileStore(manifest, codec);
     for (const [at, step] of script.steps.entries()) {
-      const { lodMean, ...after } = taken(store, step);
-      const { op: _op, lodMean: wanted, ...rest } = step;
+      const { lodMean, ownError, ...after } = taken(store, step);
+      const { op: _op, lodMean: wanted, ownError: wantedError, ...rest } = step;
       assert.deepEqual(after, rest, `script ${i}, step ${at}: ${step.op}`);
       if (typeof wanted === "number") assert.ok(Math.abs((lodMean as number) - wanted) < 1e-6, `lodMean ${lodMean}, ${wanted}`);
       else assert.ok(lodMean === null || lodMean === undefined);
+      if (typeof wantedError === "number") assert.ok(Math.abs((ownError as number) / wantedError - 1) < 1e-6, `ownError ${ownError}, ${wantedError}`);
+      else assert.ok(ownError === null || ownError === undefined);
     }
     store.dispose();
     codec.dispose();

@@ -158,8 +158,8 @@ def test_correctors_and_aligners_get_what_is_theirs() -> None:
     assert picture is not None
     assert lacking is not None
     assert picture.coded is not None
-    assert (picture.reference.picture, lacking.reference.picture) == (True, False)
-    assert lacking.reference.knee == 0.06
+    assert (picture.reference().picture, lacking.reference().picture) == (True, False)
+    assert lacking.reference().knee == 0.06
     assert picture.picture is not None
     assert lacking.picture is None
     assert (picture.assumes, lacking.assumes) == (False, True)
@@ -240,4 +240,16 @@ def test_a_picture_says_what_coding_has_left_in_it() -> None:
     received = shown(references, 0, 0)
     assert received is not None
     assert received.coded is not None
-    assert received.reference.error == pytest.approx(1e-4)
+    assert received.reference().error == pytest.approx(1e-4)
+
+
+def test_a_picture_poorer_than_the_splats_is_told_so_and_stays_the_same_while_they_do() -> None:
+    references, video = References(), Video()
+    message, unit, basis = video.picture(0)
+    assert references.add(replace(message, error=1e-4), unit, basis)
+    received = shown(references, 0, 0)
+    assert received is not None
+    assert received.reference(1e-3) is received.reference()
+    doubtful = received.reference(2e-5)
+    assert doubtful.error == pytest.approx(4e-4)
+    assert received.reference(2.1e-5) is doubtful, "what was made of it is kept"

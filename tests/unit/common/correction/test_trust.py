@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cags_common.correction import Reference, create, layer
+from cags_common.correction.trust import MOST_DOUBTED, doubted
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.raster.base import RenderedView
 
@@ -40,6 +43,32 @@ def test_a_picture_says_nothing_where_it_differs_by_no_more_than_coding_has_left
     assert np.abs(laid_over(own, over) - own)[:, :30].max() < 0.01, "less than a third of the noise stays"
     assert (laid_over(own, over) - own)[:, :30].std() < 0.003
     assert np.allclose(laid_over(own, over)[:, 45:], noisy[:, 45:], atol=0.01)
+
+
+@given(st.floats(0, 1), st.floats(0, 1))
+def test_a_picture_is_doubted_only_where_the_splats_are_better(error: float, own_error: float) -> None:
+    taken = doubted(error, own_error)
+    assert error <= taken <= max(error, MOST_DOUBTED)
+    assert taken == error or own_error < error
+    assert taken >= doubted(error, min(1.0, 2 * own_error)), "less for worse splats"
+    assert doubted(error, math.nan) == error
+
+
+def test_a_doubted_picture_takes_nothing_from_good_splats_whose_scene_has_moved_on() -> None:
+    own = colours(0, 0.2, 0.7)
+    old = own + noise(1, 60, 80, 3)
+    old[:, :10] += F(0.06)  # coding errors are larger here, and smaller there
+    old[:, 60:] = np.roll(own, 3, axis=1)[:, 60:]  # there it moves
+    error = power((old - own)[:, :50])
+    by_itself, told = layer(old, own, error), layer(old, own, doubted(error, 1e-6))
+    left = [power((laid_over(own, over) - own)[:, :50]) for over in (by_itself, told)]
+    assert left[0] > 1e-5
+    assert left[1] < 1e-7
+    old[:30, :30] = 1.0  # nothing was there of the splats: own is far from it
+    dark = own.copy()
+    dark[:30, :30] = 0.0
+    filled = laid_over(dark, layer(old, dark, doubted(error, 1e-6)))
+    assert filled[5:25, 5:25].min() > 0.9
 
 
 def test_what_is_close_is_the_own_view_and_what_is_far_the_picture() -> None:

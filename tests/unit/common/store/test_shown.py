@@ -33,6 +33,13 @@ def test_without_contributions_splats_of_tiles_in_view_count() -> None:
     assert np.isnan(shown(held(0, 2, 1, BEHIND)).lod_mean(CAMERA))
 
 
+def test_the_error_is_the_mean_of_errors_and_not_that_of_the_mean_detail() -> None:
+    errors = np.array([1e-2, 1e-3, 1e-4])
+    scene = shown(held(0, 1, 0), held(1, 3, 2), held(2, 9, 1, BEHIND))
+    assert scene.error_mean(CAMERA, errors) == pytest.approx(2.575e-3)
+    assert np.isnan(Shown(np.array([-1], np.int32), ()).error_mean(CAMERA, errors))
+
+
 def test_with_contributions_what_is_seen_counts() -> None:
     scene = shown(held(0, 2, 2), held(1, 1, 6, BEHIND))
     assert scene.lod_mean(CAMERA, np.array([9, 0.5, 0.5, 3], np.float32)) == pytest.approx((2 + 3 * 6) / 4)
