@@ -144,19 +144,11 @@ def _encode(arguments: argparse.Namespace) -> None:
 
 
 def _check_scene(scene: str) -> None:
-    """Raise :class:`ConfigError` for a folder that has been encoded, or its manifest, and for what is elsewhere."""
-    from cags_common.bundle.reader import MANIFEST_NAME
+    """Raise :class:`ConfigError` for what is elsewhere."""
     from cags_encoder.scenes.files import exists
 
-    path = Path(scene)
-    if "://" in scene and not exists(path):
+    if "://" in scene and not exists(Path(scene)):
         raise ConfigError(f"SCENE {scene}: is not on this machine; copy it here, only bundles are read from elsewhere")
-    bundle = path.parent if path.name == MANIFEST_NAME else path
-    if exists(bundle / MANIFEST_NAME):
-        raise ConfigError(
-            f"SCENE {scene}: is a bundle, which is encoded already; cags-server --bundle {bundle} plays it, and "
-            f"{PROG} --inspect describes it"
-        )
 
 
 def _inspect(url: str, picture: str | None, *, as_json: bool) -> None:

@@ -35,7 +35,7 @@ def _run(argv: Sequence[str]) -> int:
         "scene",
         nargs="?",
         default="procedural",
-        help="file, folder, motion:PATH, procedural[:size=N,...] or fourd[:..]",
+        help="file, folder, bundle, motion:PATH, procedural[:size=N,...] or fourd[:..]",
     )
     parser.add_argument("--json", action="store_true", help="print the summary as one JSON line instead of a table")
     add_settings(parser, DemoSettings)

@@ -16,6 +16,7 @@ from cags_bench.demo.settings import DemoSettings
 from cags_bench.doctor.machine import usable_cores
 from cags_bench.inputs import check_walks
 from cags_bench.jsonl import provenance
+from cags_bench.sim.bundle import SOURCE, is_bundle, truth_of
 from cags_bench.stream_report import (
     STAGES_EVERY,
     gain_db,
@@ -25,7 +26,7 @@ from cags_bench.stream_report import (
     write_strip,
 )
 from cags_bench.traces import scaled_trace
-from cags_common.errors import CagsError, NetworkError, OutputError
+from cags_common.errors import CagsError, ConfigError, NetworkError, OutputError
 from cags_common.files import writable_folder
 from cags_encoder import EncodeSettings
 from cags_shaper.trace import open_trace
@@ -72,11 +73,16 @@ def run_demo(scene: str, settings: DemoSettings, progress: IO[str]) -> dict[str,
     beside = writable_folder(out if out.exists() else out.parent)
     bundle = demo_bundle(scene, size, settings)
     frames, fps = clip_length(bundle)
+    part = is_bundle(scene) and 0 < settings.frames < frames
+    if is_bundle(scene) and settings.frames > frames:
+        raise ConfigError(f"frames = {settings.frames}: {scene} has {frames}; give fewer")
+    frames = settings.frames if part else frames
     with tempfile.TemporaryDirectory(prefix=SCRATCH, dir=beside) as scratch:
         report = Path(scratch) / "report"
         report.mkdir()
         sized = replace(settings, width=width, height=height)
-        client = stream_once(str(bundle), sized, report, progress, limit_s=client_limit_s(frames, fps))
+        limit_s, duration_s = client_limit_s(frames, fps), frames / fps if part else None
+        client = stream_once(str(bundle), sized, report, progress, limit_s=limit_s, duration_s=duration_s)
         summary = write_report(report, settings, frames)
         summary["client_exit_code"] = client
         replace_report(report, out)
@@ -90,8 +96,17 @@ def check_link_and_walk(settings: DemoSettings) -> None:
 
 
 def demo_bundle(scene: str, size: DemoSize, settings: DemoSettings) -> Path:
-    """The encoded scene, from the cache if possible; the built-in scene has the size that suits the machine."""
+    """The encoded scene, from the cache if possible; a bundle as it is. The built-in scene has the size that suits the
+    machine.
+
+    Raises :class:`CagsError` for a scene that cannot be read, and for a published folder, which has nothing to compare
+    with.
+    """
     check_link_and_walk(settings)
+    if is_bundle(scene):
+        if truth_of(Path(scene)) != SOURCE:
+            raise ConfigError(f"{scene}: is published, without the source frames; give the bundle that it was made of")
+        return Path(scene)
     spec = size.scene if scene == "procedural" else scene
     frames = settings.frames or frames_of(spec, DEFAULT_FRAMES)
     return cached_bundle(spec, settings.cache, EncodeSettings(frames=frames))
@@ -135,15 +150,18 @@ def show_live(scene: str, settings: DemoSettings, progress: IO[str]) -> None:
         raise NetworkError(f"{client.name} ended: {client.last_words()}")
 
 
-def stream_once(bundle: str, settings: DemoSettings, report: Path, progress: IO[str], *, limit_s: float) -> int:
-    """Run server, shaper and client until the client ends; logs and frames are written to ``report``.
+def stream_once(
+    bundle: str, settings: DemoSettings, report: Path, progress: IO[str], *, limit_s: float, duration_s: float | None
+) -> int:
+    """Run server, shaper and client until the client has played ``duration_s``, or the clip; logs and frames are
+    written to ``report``.
 
     Raises :class:`CagsError` if a part fails, or if the client has not ended after ``limit_s``.
     """
     with ProcessGroup(report) as group:
         shaper = start_link(group, bundle, settings)
         print(f"cags-demo: server and shaper are up (port {shaper['port']}), client starts", file=progress)
-        client = group.start("cags_client", client_arguments(bundle, shaper["port"], settings, report))
+        client = group.start("cags_client", client_arguments(bundle, shaper["port"], settings, report, duration_s))
         return wait_for_client(client, limit_s)
 
 
@@ -163,13 +181,16 @@ def link_trace(settings: DemoSettings) -> str:
     return str(scaled_trace(settings.trace, settings.share, TRACE_S))
 
 
-def client_arguments(bundle: str, port: int, settings: DemoSettings, report: Path) -> list[str]:
+def client_arguments(
+    bundle: str, port: int, settings: DemoSettings, report: Path, duration_s: float | None = None
+) -> list[str]:
     """The client's command line."""
     stages = report / "stages"
     return [
         *("--url", f"ws://127.0.0.1:{port}/stream", "--poses", settings.poses, "--truth", bundle),
         *("--json", str(report / "frames.jsonl"), "--stages", str(stages), "--stages-every", str(STAGES_EVERY)),
         *("--width", str(settings.width), "--height", str(settings.height), "--threads", threads_each(settings)),
+        *(() if duration_s is None else ("--duration", str(duration_s))),
     ]
 
 

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import sys
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
@@ -74,9 +76,14 @@ def digest(method: str) -> str:
 def _added(seam: Seam) -> list[str]:
     """Names that are not the program's own, in order."""
     entered = [name for name, made in seam.registry.items() if _package(made) not in OWN_PACKAGES]
-    others = entry_points(group=seam.registry.group)
-    installed = {entry.name for entry in others if entry.dist is None or entry.dist.name != DISTRIBUTION}
-    return [*entered, *sorted(installed - seam.registry.keys())]
+    return [*entered, *sorted(_installed(seam.registry.group, tuple(sys.path)) - seam.registry.keys())]
+
+
+@cache
+def _installed(group: str, path: tuple[str, ...]) -> frozenset[str]:
+    """Names that other distributions on ``path`` enter; looked up once, for every method's name is checked by them."""
+    others = entry_points(group=group)
+    return frozenset(entry.name for entry in others if entry.dist is None or entry.dist.name != DISTRIBUTION)
 
 
 def _package(made: Any) -> str:

@@ -53,11 +53,14 @@ class Table:
     @staticmethod
     def of(counts: NDArray[Any], steps: int = FINEST) -> Table:
         """The table for symbols that occur ``counts`` [256] times: every one that occurs has a chance."""
-        used = int(np.flatnonzero(counts)[-1]) + 1 if counts.any() else 1
-        seen = np.asarray(counts[:used], np.float64) if counts.any() else np.ones(1)
         top = HALVINGS * steps
-        rank = np.rint(top + steps * np.log2(np.maximum(seen, 0.5) / seen.max())).clip(0, top)
-        return Table(np.where(seen > 0, 1 + rank, 0).astype(np.uint8), steps)
+        at = counts.nonzero()[0]
+        if not len(at):
+            return Table(np.array([1 + top], np.uint8), steps)
+        seen = counts[at].astype(np.float64)
+        weights = np.zeros(int(at[-1]) + 1, np.uint8)
+        weights[at] = 1 + np.maximum(np.rint(top + steps * np.log2(seen / seen.max())), 0)
+        return Table(weights, steps)
 
     @cached_property
     def frequencies(self) -> U32:
@@ -72,8 +75,10 @@ class Table:
     @cached_property
     def differences(self) -> I64:
         """Of each weight from the one before, the first from the largest there is; folded."""
-        steps = np.diff(self.weights.astype(np.int64), prepend=1 + HALVINGS * self.steps)
-        return np.where(steps < 0, -2 * steps - 1, 2 * steps)
+        steps = self.weights.astype(np.int64)
+        steps[1:] -= self.weights[:-1]
+        steps[0] -= 1 + HALVINGS * self.steps
+        return 2 * steps ^ steps >> 63
 
     def bits(self, rice: int) -> int:
         """On the wire, with this Rice parameter."""
@@ -81,8 +86,8 @@ class Table:
 
     def cost(self, counts: NDArray[Any]) -> float:
         """Bits of symbols that occur ``counts`` [256] times."""
-        at = np.flatnonzero(counts)
-        return float((counts[at] * (PROBABILITY_BITS - np.log2(self.frequencies[at]))).sum()) if len(at) else 0.0
+        at = counts.nonzero()[0]
+        return float((counts[at] * (PROBABILITY_BITS - np.log2(self.frequencies[at]))).sum())
 
 
 @dataclass(frozen=True, eq=False)

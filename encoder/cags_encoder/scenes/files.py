@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cags_common.bundle.reader import MANIFEST_NAME
 from cags_common.errors import ConfigError, SceneError
 from cags_common.geometry import Vec3
 from cags_common.splats import Ids, Splats
@@ -119,6 +120,12 @@ def open_files(path: Path, options: FileOptions) -> FrameSource:
     """Open a file or folder. Raises :class:`SceneError` for bad files, :class:`ConfigError` for bad options."""
     if not exists(path):
         raise SceneError(f"{path}: no such file or folder; give one, or 'procedural'")
+    bundle = path.parent if path.name == MANIFEST_NAME else path
+    if exists(bundle / MANIFEST_NAME):
+        raise SceneError(
+            f"{path}: is a bundle, which is encoded already; cags-server --bundle {bundle} plays it, and "
+            "cags-encode --inspect describes it"
+        )
     if is_timed(path):
         return TimedScene(path, options)
     if options.duration is not None:

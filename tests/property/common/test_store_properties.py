@@ -14,6 +14,7 @@ from cags_common.motion.apply import ABSENT_LOGIT
 from cags_common.motion.chunk import LEVELS
 from cags_common.store.gof_buffer import GofBuffer
 from cags_common.store.tile_store import TileStore
+from support.examples import examples
 from support.small_motion import Clip, moving, random_frames, written
 from support.small_store import manifest
 
@@ -46,7 +47,7 @@ def played(rng: np.random.Generator, clip: Clip, store: TileStore, last: int) ->
     assert not store.flush()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 @given(st.integers(0, 2**32))
 def test_any_order_of_arrival_with_jumps_ends_in_what_the_whole_bundle_shows(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -65,7 +66,7 @@ def is_motion(clip: Clip, frame: int, tile: int) -> bool:
     return clip.frames[frame][tile].looks is not None
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(10), deadline=None)
 @given(st.integers(0, 2**32))
 def test_groups_of_frames_one_after_another_have_motion_of_their_own(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -82,7 +83,7 @@ def test_groups_of_frames_one_after_another_have_motion_of_their_own(seed: int) 
             assert_shows(gof, player.frame(frame), f"frame {frame}")
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(12), deadline=None)
 @given(st.integers(0, 2**32))
 def test_rows_that_a_commit_does_not_name_have_not_changed(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from cags_common.bundle import BundleReader
 from support.closed_loop import Session, encoded_clip, served
+from support.examples import examples
 from support.moving_bundle import write_moving
 from support.small_motion import moving, random_frames, written
 from support.small_store import manifest
@@ -46,7 +47,7 @@ BUNDLES: dict[str, Callable[[int], BundleReader]] = {
 
 
 @pytest.mark.parametrize("kind", sorted(BUNDLES))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 @given(seed=st.integers(0, 2**32), few=st.booleans(), whole=st.booleans())
 @example(seed=138567, few=True, whole=False)  # a level comes again between a jump back and its replay
 def test_at_every_reference_the_mirror_holds_what_the_client_shows(

@@ -24,6 +24,7 @@ from cags_protocol.wire.messages import Control, PoseSample, TileLayers
 from cags_server.link import MeasuredLink
 from cags_server.scene.library import SceneLibrary
 from cags_server.session.streamer import Streamer
+from support.examples import examples
 from support.moving_bundle import FRAMES, moving_library
 from support.server_scene import SETTINGS, hello
 from support.shadow_client import ShadowClient
@@ -187,7 +188,7 @@ def coarsely_there(
 
 @pytest.mark.parametrize("abr", ["utility", "paper", "buffer"])
 @given(seed=st.integers(0, 10_000), motion=st.booleans(), turns=st.booleans())
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 def test_what_is_in_view_is_true_at_every_frame_on_a_link_without_bounds(
     abr: str, seed: int, motion: bool, turns: bool
 ) -> None:
@@ -202,7 +203,7 @@ def test_what_is_in_view_is_true_at_every_frame_on_a_link_without_bounds(
 
 
 @given(seed=st.integers(0, 10_000), motion=st.booleans())
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=examples(8), deadline=None)
 def test_a_client_that_resumes_in_the_middle_is_sent_what_it_lacks_and_nothing_again(seed: int, motion: bool) -> None:
     library = moving_library(f"memory://{uuid.uuid4().hex}", seed, motion=motion)
     before = Viewer(library, seed - seed % 2, "utility")
@@ -216,7 +217,7 @@ def test_a_client_that_resumes_in_the_middle_is_sent_what_it_lacks_and_nothing_a
 
 @given(seed=st.integers(0, 10_000), motion=st.booleans())
 @example(seed=4701, motion=True)  # the base of an update is lost while its levels arrive
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=examples(8), deadline=None)
 def test_what_was_given_up_or_lost_comes_again_and_a_jump_sends_nothing_twice(seed: int, motion: bool) -> None:
     library, random = moving_library(f"memory://{uuid.uuid4().hex}", seed, motion=motion), np.random.default_rng(seed)
     viewer = Viewer(library, seed - seed % 2, "utility")
@@ -235,7 +236,7 @@ def test_what_was_given_up_or_lost_comes_again_and_a_jump_sends_nothing_twice(se
 
 
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=examples(8), deadline=None)
 def test_splats_end_in_time_though_their_motion_never_comes(seed: int) -> None:
     library = moving_library(f"memory://{uuid.uuid4().hex}", seed)
     viewer = Viewer(library, seed - seed % 2, "utility")

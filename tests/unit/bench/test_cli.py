@@ -18,7 +18,7 @@ from cags_bench.demo import run
 from cags_bench.demo.run import check_replaceable
 from cags_bench.demo.settings import DemoSettings
 from cags_bench.tables import print_lines
-from cags_common.errors import CagsError, OutputError
+from cags_common.errors import CagsError, ConfigError, OutputError
 from cags_shaper.trace import open_trace
 
 
@@ -72,7 +72,7 @@ def test_the_demo_replaces_only_its_own_reports(tmp_path):
 def played(monkeypatch: pytest.MonkeyPatch) -> DemoSettings:
     """A demo whose play takes no time, and whose report has one file beside the summary."""
 
-    def stream(bundle: str, settings: DemoSettings, report: Path, progress: object, *, limit_s: float) -> int:
+    def stream(bundle: str, settings: DemoSettings, report: Path, progress: object, **limits: float | None) -> int:
         (report / "frames.jsonl").write_text("new")
         return 0
 
@@ -218,6 +218,33 @@ def test_the_demo_plays_a_scene_once_unless_more_is_asked_for(monkeypatch, scene
     """A scene of 10 frames once went round nine times, though --help said otherwise."""
     monkeypatch.setattr(run, "cached_bundle", lambda spec, cache, settings: settings.frames)
     assert run.demo_bundle(f"procedural:size=500,{scene}", run.NATIVE, DemoSettings(frames=asked)) == frames
+
+
+def test_the_demo_plays_the_first_frames_of_a_bundle(
+    played: DemoSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "manifest.json").write_text("{}")
+    asked: list[float | None] = []
+
+    def stream(bundle: str, settings: DemoSettings, report: Path, progress: object, **limits: float | None) -> int:
+        asked.append(limits["duration_s"])
+        return 0
+
+    monkeypatch.setattr(run, "stream_once", stream)
+    for frames in (0, 45, 90):
+        run.run_demo(str(tmp_path), replace(played, out=str(tmp_path / "out"), frames=frames), io.StringIO())
+    assert asked == [None, 1.5, None]
+    with pytest.raises(ConfigError, match="has 90; give fewer"):
+        run.run_demo(str(tmp_path), replace(played, out=str(tmp_path / "out"), frames=91), io.StringIO())
+
+
+def test_the_demo_takes_a_bundle_as_it_is_but_no_published_folder(tmp_path: Path) -> None:
+    """It said that the bundle holds no frames."""
+    (tmp_path / "manifest.json").write_text("{}")
+    assert run.demo_bundle(str(tmp_path), run.NATIVE, DemoSettings()) == tmp_path
+    (tmp_path / "manifest.json").write_text('{"published": {"codebooks": "codebooks.bin"}}')
+    with pytest.raises(ConfigError, match="is published, without the source frames"):
+        run.demo_bundle(str(tmp_path), run.NATIVE, DemoSettings())
 
 
 @pytest.mark.parametrize(

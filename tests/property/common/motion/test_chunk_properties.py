@@ -27,11 +27,12 @@ from cags_common.motion.chunk import (
 )
 from cags_common.motion.neighbours import Anchors
 from support.anchors import KINDS, any_looks, scattered
+from support.examples import examples
 
 native_only = pytest.mark.skipif(not cags_kernels.native_available(), reason="needs the native kernels")
 SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large]
 QUICK = settings(max_examples=40, deadline=None, suppress_health_check=SLOW)
-FEW = settings(max_examples=8, deadline=None, suppress_health_check=SLOW)
+FEW = settings(max_examples=examples(4), deadline=None, suppress_health_check=SLOW)
 """The definition takes its time over a chunk."""
 
 SIZES = (0.0, 1e-9, 0.3, 3.0, 60.0, 5e3, 1e6, 3e7)
@@ -202,7 +203,7 @@ def damaged(payload: bytes, random: np.random.Generator, way: int) -> bytes:
 
 
 @given(cases(40), st.integers(0, 3), st.integers(0, LEVELS - 1), st.integers(0, 2**32 - 1))
-@settings(max_examples=150, deadline=None, suppress_health_check=SLOW)
+@settings(max_examples=examples(60), deadline=None, suppress_health_check=SLOW)
 def test_damage_is_refused_or_is_another_chunk_and_both_ways_agree(case: Case, way: int, level: int, seed: int) -> None:
     random = np.random.default_rng(seed)
     payloads = list(case.encode(native=cags_kernels.native_available()))
