@@ -49,15 +49,20 @@ def reproduce(settings: ReproduceSettings) -> Iterator[dict[str, Any]]:
         page_text(Path(settings.page))  # a wrong name is told now, not after the run
     if chosen:
         _check(settings, plan)
-    context = Context(plan, Runner(ResultCache(), settings.cache, settings.device), _tell)
-    out, sections = Path(settings.out), list[Section]()
     started = time.monotonic()
+
+    def tell(what: str) -> None:
+        _tell(f"{(time.monotonic() - started) / 60:.1f} min: {what}")
+
+    context = Context(plan, Runner(ResultCache(), settings.cache, settings.device), tell)
+    out, sections = Path(settings.out), list[Section]()
     cases = [case for experiment in chosen for case in experiment.cases(context)]
     if not settings.kept:
-        prepare(context.runner, cases, settings.workers or os.cpu_count() or 1, _tell)
+        prepare(context.runner, cases, settings.workers or os.cpu_count() or 1, tell)
     for experiment in chosen:
         section = marked(experiment.run(context), plan)
         sections.append(section)
+        tell(f"made: {section.title}")
         write_section(out, section)
         write_claims(out, sections)
         write_page(out, sections, plan)

@@ -18,7 +18,7 @@ import { Timeline } from "../wire/timeline.ts";
 import { BASE_CODEBOOKS_BLOB, CODEBOOKS_BLOB } from "../wire/assembly.ts";
 import { DecodeQueue, type DataEvent, MAX_UNDECODED_BYTES } from "./decodeQueue.ts";
 import { Reconnect } from "./reconnect.ts";
-import { type Decoders, SceneStore, tooLarge } from "./scene.ts";
+import { type Decoders, memoryMb, SceneStore, tooLarge } from "./scene.ts";
 import { Meter } from "./status.ts";
 
 /** Refusals that may be gone a moment later; another attempt would only meet the others again. */
@@ -372,7 +372,7 @@ export class LiveSource implements SceneSource {
   private makeScene(welcome: Welcome): boolean {
     try {
       const manifest = readManifest(welcome.info);
-      const large = tooLarge(manifest, this.options.maxSplats ?? 4_000_000, this.options.maxMemoryMb ?? 2048);
+      const large = tooLarge(manifest, this.options.maxSplats ?? 4_000_000, this.options.maxMemoryMb ?? memoryMb());
       if (large) throw new BundleError(large);
       this.scene = new SceneStore(manifest, this.decoders, this.options.startFrame ?? 0);
       this.listen({ type: "info", info: sceneInfo(manifest, false) });

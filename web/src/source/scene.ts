@@ -172,6 +172,15 @@ function heldBand(words: Uint32Array, rows: number, width: number): number {
   return highest;
 }
 
+/**
+ * Memory that a group's splats may take where the page does not say, MB: half of the device's, of which browsers tell 8 GB
+ * at most; as on a device of 4 GB where they tell nothing.
+ */
+export function memoryMb(): number {
+  const { deviceMemory = 4 } = (globalThis.navigator ?? {}) as { readonly deviceMemory?: number };
+  return Math.min(Math.max(512 * deviceMemory, 512), 4096);
+}
+
 /** Refuse a scene whose groups take more than the viewer gives; one line, or undefined. */
 export function tooLarge(manifest: Manifest, maxSplats: number, maxMemoryMb: number): string | undefined {
   const largest = Math.max(0, ...manifest.capacity);

@@ -14,7 +14,7 @@ import { arrivalOf } from "../store/tileStore.ts";
 import { frameAt } from "../wire/timeline.ts";
 import { type FrameEntry, readIndex, type TileEntry } from "./bundleIndex.ts";
 import { baseWishes, batch, type Range, ranges, refinements, type Wish } from "./plan.ts";
-import { type Decoders, SceneStore, tooLarge } from "./scene.ts";
+import { type Decoders, memoryMb, SceneStore, tooLarge } from "./scene.ts";
 import { Meter } from "./status.ts";
 
 const AT_ONCE = 4;
@@ -139,7 +139,7 @@ export class StaticSource implements SceneSource {
       // its name stays when a folder is published again: a cache may hold the one before
       const manifest = readManifest(await this.whole("manifest.json", "no-cache"));
       this.at = frameAt(this.options.startSeconds ?? 0, manifest);
-      const large = tooLarge(manifest, this.options.maxSplats ?? 4_000_000, this.options.maxMemoryMb ?? 2048);
+      const large = tooLarge(manifest, this.options.maxSplats ?? 4_000_000, this.options.maxMemoryMb ?? memoryMb());
       if (large) throw new BundleError(large);
       if (!manifest.files.length) throw new BundleError("manifest: does not say where tiles lie");
       this.opened = this.open(manifest);
