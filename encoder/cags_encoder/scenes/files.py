@@ -117,12 +117,12 @@ def exists(path: Path) -> bool:
 
 
 def open_files(path: Path, options: FileOptions) -> FrameSource:
-    """Open a file or folder. Raises :class:`SceneError` for bad files, :class:`ConfigError` for bad options."""
+    """Open a file or folder. Raises :class:`SceneError` for bad files, :class:`ConfigError` for bundles and options."""
     if not exists(path):
         raise SceneError(f"{path}: no such file or folder; give one, or 'procedural'")
     bundle = path.parent if path.name == MANIFEST_NAME else path
     if exists(bundle / MANIFEST_NAME):
-        raise SceneError(
+        raise ConfigError(
             f"{path}: is a bundle, which is encoded already; cags-server --bundle {bundle} plays it, and "
             "cags-encode --inspect describes it"
         )

@@ -115,7 +115,9 @@ class TilePlanner:
         """The tiles for the frame ahead of ``record``, of which ``visible`` are in view, and the frame's end."""
         wanted = visible + self._come_into_view(record, visible)
         wanted += self._following(record, wanted)
-        return self._chosen(wanted, record, now_us, newest=True) + self._next_group(record, now_us)
+        out = self._chosen(wanted, record, now_us, newest=True) + self._next_group(record, now_us)
+        self._dispatch.budget.end_frame()
+        return out
 
     def detail_due_us(self) -> int | None:
         """Time to choose more tiles for the frame that was served last; None if it lacks none, or nobody has seen it.

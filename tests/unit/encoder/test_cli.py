@@ -65,7 +65,7 @@ def test_a_quantiser_for_a_codec_that_has_none_is_refused(capsys: pytest.Capture
 def test_a_bundle_as_a_scene_is_told_with_what_takes_it(
     given: str, bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    said = refused(capsys, 1, str(bundle / given), str(tmp_path / "b.cags"))
+    said = refused(capsys, 2, str(bundle / given), str(tmp_path / "b.cags"))
     assert said == (
         f"cags-encode: {bundle / given}: is a bundle, which is encoded already; cags-server --bundle "
         f"{bundle} plays it, and cags-encode --inspect describes it"

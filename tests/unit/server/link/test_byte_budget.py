@@ -151,6 +151,8 @@ def after_references_of(size: int) -> ByteBudget:
         budget.planned(each, 0)
         budget.settled(each)
         budget.close(0, 0)
+        budget.close(0, 0)  # as for detail of the frame before, or the opening of the next group
+        budget.end_frame()
     return budget
 
 
@@ -193,6 +195,7 @@ def after(moves: list[tuple[str, int]]) -> tuple[ByteBudget, KnownLink, list[Out
     for kind, size in moves:
         if kind == "close":
             budget.close(size, 0)
+            budget.end_frame()
         elif kind == "settle":
             if out:
                 budget.settled(out.pop(size % len(out)))
