@@ -28,6 +28,11 @@ from cags_server.predict.tangent import (
 GAIN_RIDGE_STEPS = 600.0
 """Weight of the pull towards a gain of 1: so many grid steps of average motion (twenty seconds)."""
 
+LEAST_MOTION = 1e-3
+"""Predicted displacements, radians and metres, of which the pull is that of at least so much: what is predicted for a
+viewer who stands still is rounding, of which a gain would make anything, once they move.
+"""
+
 MAX_GROWTH = 2.0
 """A predicted displacement is at most so many times what the fastest recent increment would cover in the horizon."""
 
@@ -66,10 +71,9 @@ class AutoregressivePredictor:
         gains = np.ones(6)
         for part in (ROTATION, POSITION):
             energy = float(np.mean(guesses[:, part] ** 2)) * 3
-            pull = GAIN_RIDGE_STEPS * energy
-            if energy > 0:
-                product = float(np.sum(guesses[:, part] * truths[:, part]))
-                gains[part] = (product + pull) / (float(np.sum(guesses[:, part] ** 2)) + pull)
+            pull = GAIN_RIDGE_STEPS * max(energy, LEAST_MOTION**2)
+            product = float(np.sum(guesses[:, part] * truths[:, part]))
+            gains[part] = (product + pull) / (float(np.sum(guesses[:, part] ** 2)) + pull)
         errors = truths - guesses * gains
         errors[:, POSITION] = so3.rotate(rotations[order : order + known], errors[:, POSITION])
         return gains, np.sqrt(age @ errors**2 / age.sum()) * (steps / whole)

@@ -1,5 +1,6 @@
 import math
 
+import numpy as np
 import pytest
 
 from cags_common.errors import ConfigError
@@ -48,6 +49,31 @@ def test_who_stands_still_is_predicted_to_stand_still_and_surely(name: str) -> N
     assert distribution.pose.position == pytest.approx(pose.position, abs=1e-12)
     assert angle_between(distribution.pose.rotation, pose.rotation) < 1e-7
     assert max(*distribution.rotation_std_rad, *distribution.position_std_m) < 1e-9
+
+
+@pytest.mark.parametrize("name", list(PREDICTORS))
+@pytest.mark.parametrize("moved_us", [50_000, 150_000, 300_000])
+def test_who_begins_to_move_is_not_predicted_by_the_rounding_of_the_time_before(name: str, moved_us: int) -> None:
+    """As at the beginning of every play: a gain was the quotient of two sums of rounding errors, and turned the viewer
+    round or not, from processor to processor.
+    """
+    begins_us, random = 1_200_000, np.random.default_rng(0)
+
+    def starting(t_us: int, wobble: float = 0.0) -> Pose:
+        moved = max(t_us - begins_us, 0) / 1e6
+        x, y, z = np.array([0.7 + moved, 1.6, -2.1 + 0.5 * moved]) + wobble * random.normal(size=3)
+        half = 0.4 + 0.5 * moved + wobble * float(random.normal())
+        return Pose((x, y, z), (math.cos(half), 0.0, math.sin(half), 0.0))
+
+    end_us, predictor = begins_us + moved_us, create_predictor(name)
+    plain = predictor.predict(history_of(starting, end_us), 200_000).pose
+    now, later = starting(end_us), starting(end_us + 200_000)
+    assert math.dist(plain.position, later.position) <= 1.5 * math.dist(now.position, later.position)
+    assert angle_between(plain.rotation, later.rotation) <= 1.5 * angle_between(now.rotation, later.rotation)
+    for _ in range(20):
+        other = predictor.predict(history_of(lambda t: starting(t, 1e-15), end_us), 200_000).pose
+        assert other.position == pytest.approx(plain.position, abs=1e-6)
+        assert angle_between(other.rotation, plain.rotation) < 1e-6
 
 
 @pytest.mark.parametrize("name", list(PREDICTORS))
