@@ -26,6 +26,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import accumulate
 from math import log10
 
 from cags_common.motion.chunk import REFINEMENT
@@ -207,15 +208,20 @@ def _together(observation: Observation, tile: TileView, errors: Errors, levels: 
     """How many LoDs of a new tile go together; 0 where one will do.
 
     ``levels`` are the error without the tile and at each of its LoDs. It takes enough LoDs to be better than nothing;
-    for an update, if the budget suffices, enough to be about as good as the looks around it.
+    if the budget suffices, those that weigh no more than the message in which they would come later go at once, and of
+    an update enough to be about as good as the looks around it.
     """
     absent, *left = levels
-    together = next((lod for lod, error in enumerate(left, start=1) if error < absent), len(left))
+    least = next((lod for lod, error in enumerate(left, start=1) if error < absent), len(left))
+    overhead, further = observation.message_overhead_bytes, accumulate(tile.lod_bytes[1 : len(left)])
+    wanted = max(
+        (lod for lod, size in enumerate(further, 2) if size <= overhead and tile.lod_bytes[lod - 1]), default=1
+    )
     if tile.kind == TileKind.UPDATE:
         near = next((lod for lod, error in enumerate(errors.lods, 1) if error <= NEAR * errors.held), len(left))
-        near = min(near, len(left))
-        if sum(tile.lod_bytes[:near]) + observation.message_overhead_bytes <= observation.budget_bytes:
-            together = max(together, near)
+        wanted = max(wanted, min(near, len(left)))
+    fits = sum(tile.lod_bytes[:wanted]) + overhead <= observation.budget_bytes
+    together = max(least, wanted) if fits else least
     return together if together > 1 else 0
 
 

@@ -34,6 +34,19 @@ def test_a_hole_is_filled_before_detail_is_added() -> None:
     assert reached(decide("utility", 110, tile(0, depth=0), tile(1))) == {0: 1}
 
 
+def test_levels_lighter_than_a_message_come_with_the_base_if_they_fit() -> None:
+    """Once splats stood at their lowest level for a frame, at 40 dB between 60 and 60, for want of 90 bytes."""
+
+    def together(budget: int, overhead: int) -> list[tuple[int, int]]:
+        new = tile(0, depth=0, replaces=True, weight=1e-3)
+        decided = create_rate_policy("utility").decide(Observation(3, budget, (new,), (), overhead))
+        return [(u.together, u.to_lod) for u in decided.upgrades]
+
+    assert together(10_000, 25) == [(3, 5)], "two further levels are 20 bytes"
+    assert together(10_000, 5) == [(1, 5)]
+    assert together(130, 25) == [(1, 1)], "the base alone"
+
+
 def test_measured_gains_decide_between_layers() -> None:
     gains = (0.01, 3.0, 0.01, 0.01)
     assert reached(decide("utility", 16, tile(0, depth=1), tile(1, depth=2), gains=gains)) == {1: 3}
