@@ -7,6 +7,7 @@ the client lacks. One thread may decode while another presents.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -352,7 +353,9 @@ class ClientPipeline:
             since = reference.frame, reference.basis if reference.assumes else None
             changed = self._changes.spheres(since, store.splats, canvas.camera, reference.camera.intrinsics.fx_px)
         stale = 1.0 - weight if Pass.FADE in plan else 0.0
-        own_error = store.shown.error_mean(canvas.camera, self._errors)
+        past = reference.frame != self._shown_frame
+        known = self._references.beginning and past  # of its own frame, the comparison tells
+        own_error = store.shown.error_mean(canvas.camera, self._errors) if known else math.nan
         return Correction(reference.reference(own_error), canvas.display.intrinsics, changed=changed, stale=stale)
 
     def _restored(

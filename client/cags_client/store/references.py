@@ -22,6 +22,11 @@ KEPT = 24
 LATEST = 0.25
 """Largest lateness of a reference, as a share of the clip; in a loop, later ones belong to the next round."""
 
+BEGINNING = 12
+"""Frames after a start or a jump in which the levels held tell how good the client's splats are: a play begins when all
+of its first frames has come. Later, motion and updates may lack, of which the client does not know.
+"""
+
 MAX_REFERENCE_PIXELS = 1 << 21
 """Largest size of a reference to decode."""
 
@@ -82,6 +87,7 @@ class References:
         self._received: dict[int, Received] = {}
         self._to_come: set[int] = set()  # frames of theirs that have not been reached
         self._frame = -1  # on display
+        self._first: int | None = None  # that was displayed since the start or the last jump
         self._lock = threading.Lock()
 
     def add(self, message: ReferenceFrame, access_unit: memoryview, basis: int) -> bool:
@@ -148,13 +154,18 @@ class References:
         with self._lock:
             coming = {f: self._received[f] for f in self._to_come}
             reached = {} if frame < self._frame else self._received
-            self._frame = frame
+            self._frame, self._first = frame, frame if self._first is None else self._first
             self._to_come = {f for f in coming if 0 < (f - frame) % frames < frames / 2}
             self._received = {
                 f: r
                 for f, r in {**reached, **coming}.items()
                 if f <= frame or f in self._to_come or (frame - f) % frames > LATEST * frames
             }
+
+    @property
+    def beginning(self) -> bool:
+        """Whether the displayed frame is one of the first after a start or a jump (:data:`BEGINNING`)."""
+        return self._first is not None and 0 <= self._frame - self._first < BEGINNING
 
     def newest(self, max_age: int) -> Received | None:
         """The reference of the displayed frame, or the newest of the ``max_age`` frames before it."""
@@ -183,6 +194,7 @@ class References:
     def reset(self, until: int | None = None) -> None:
         """Forget all references (the viewer jumped), or the first ``until`` received; the decoder continues."""
         with self._lock:
+            self._first = self._first if until is not None else None
             kept = {f: r for f, r in self._received.items() if until is not None and r.order > until}
             self._received = kept
             self._to_come &= kept.keys()

@@ -13,6 +13,9 @@ const PATIENCE_FRAMES = 3;
 /** A reference is late by at most this share of the clip; in a loop, any other belongs to the next round. */
 const LATEST = 0.25;
 
+/** Frames after a start or a jump in which the levels held tell how good the splats are; as `cags_client.store.references`. */
+const BEGINNING = 12;
+
 export interface Received<P> {
   readonly reference: Reference;
   /** null: it says nothing. */
@@ -30,6 +33,8 @@ export class References<P> {
   private readonly toCome = new Set<number>();
   /** On display. */
   private frame = -1;
+  /** That was displayed since the start or the last jump. */
+  private first: number | undefined;
   private mark = 0;
   private committed = 0;
   /** References up to this order are of no use, should they still be decoded. */
@@ -58,6 +63,7 @@ export class References<P> {
   show(frame: number, frames: number): void {
     const begins = frame < this.frame;
     this.frame = frame;
+    this.first ??= frame;
     for (const at of [...this.received.keys()]) {
       const ahead = (((at - frame) % frames) + frames) % frames;
       const coming = this.toCome.has(at);
@@ -65,6 +71,11 @@ export class References<P> {
       const late = at > frame && !this.toCome.has(at) && (frames - ahead) % frames <= LATEST * frames;
       if ((begins && !coming) || late) this.drop(at);
     }
+  }
+
+  /** Whether the frame on display is one of the first after a start or a jump. */
+  get beginning(): boolean {
+    return this.first !== undefined && this.frame >= this.first && this.frame < this.first + BEGINNING;
   }
 
   /** The newest mark of the store: of every `mark` event, or of a frame's update. */
@@ -118,6 +129,7 @@ export class References<P> {
   /** Forget everything (the viewer jumped), or references up to the order `until`. */
   reset(until = Infinity): void {
     if (until < Infinity) this.forgotten = until;
+    else this.first = undefined;
     for (const [frame, { reference }] of this.received) {
       if (reference.order <= until) this.drop(frame);
     }

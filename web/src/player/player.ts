@@ -473,7 +473,9 @@ export class Player {
     const { changed } = update;
     const weight = this.#weight(found.reference, frame, camera);
     if (!weight) return plain;
-    return { ...plain, reference: found.picture, error: doubted(found.picture.error, update.ownError), stale: 1 - weight, ...(changed ? { changed: cellBoxes(changed.positions, changed.radii, camera) } : {}) };
+    const known = this.#references.beginning && found.reference.frame !== frame; // of its own frame, the comparison tells
+    const error = known ? doubted(found.picture.error, update.ownError) : found.picture.error;
+    return { ...plain, reference: found.picture, error, stale: 1 - weight, ...(changed ? { changed: cellBoxes(changed.positions, changed.radii, camera) } : {}) };
   }
 
   /** Of a reference: 1 up to half of the allowed age, then falling to 0; of a difference less beyond its reach. */

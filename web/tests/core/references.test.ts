@@ -64,6 +64,20 @@ test("references that greeted are forgotten, decoded late too; those after them 
   assert.deepEqual([shown(references, 4, 10), shown(references, 6, 10)], [undefined, "of 5"]);
 });
 
+test("a play has a beginning, and another one after a jump, but not where the reference of the pause is forgotten", () => {
+  const references = new References<string>();
+  const begins = (frame: number): boolean => {
+    references.show(frame, CLIP);
+    return references.beginning;
+  };
+  assert.equal(references.beginning, false);
+  assert.deepEqual([3, 14, 15].map(begins), [true, true, false]);
+  references.reset(1);
+  assert.equal(begins(16), false);
+  references.reset();
+  assert.deepEqual([16, 27, 28, 2].map(begins), [true, true, false, false]);
+});
+
 test("a round of a loop shows no reference of the round before, and those of its own that came early", () => {
   const references = new References<string>();
   for (let frame = 0; frame < 4; frame++) {

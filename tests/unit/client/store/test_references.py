@@ -243,6 +243,24 @@ def test_a_picture_says_what_coding_has_left_in_it() -> None:
     assert received.reference().error == pytest.approx(1e-4)
 
 
+def test_a_play_has_a_beginning_and_another_one_after_a_jump() -> None:
+    references = References()
+
+    def begins(*frames: int) -> list[bool]:
+        found = []
+        for frame in frames:
+            references.show(frame, 60)
+            found.append(references.beginning)
+        return found
+
+    assert not references.beginning
+    assert begins(3, 14, 15) == [True, True, False]
+    references.reset(1)
+    assert begins(16) == [False]
+    references.reset()
+    assert begins(16, 27, 28, 2) == [True, True, False, False]
+
+
 def test_a_picture_poorer_than_the_splats_is_told_so_and_stays_the_same_while_they_do() -> None:
     references, video = References(), Video()
     message, unit, basis = video.picture(0)
