@@ -52,19 +52,20 @@ def test_a_frame_is_corrected_towards_the_truth(reader: BundleReader, kind: Refe
     assert averages([scores, scores])["psnr_restored_db"] == pytest.approx(scores["psnr_restored_db"])
 
 
-def test_a_coarse_picture_of_an_earlier_frame_takes_nothing_from_splats_that_are_better(
-    reader: BundleReader,
-) -> None:
-    stage, pose = Stage(reader), walk(reader)
-    for frame in range(3):
-        stage.send(frame, reader.manifest.lods)
+def test_a_coarse_picture_of_an_earlier_frame_takes_nothing_from_splats_that_are_better(tmp_path: Path) -> None:
+    """At the beginning of a play beside other work, 55 dB became 33."""
+    settings = EncodeSettings(frames=36, quantiser="paper-66", train_splats=2048)
+    encode(open_scene("procedural:size=1500,frames=36"), settings, str(tmp_path / "room"))
+    stage = Stage(BundleReader.open(str(tmp_path / "room")))
+    pose = walk(stage.reader)
+    for frame in range(9):
+        stage.send(frame, stage.reader.manifest.lods)
     message, unit = stage.reference(0, pose, PICTURE, crf=41)
     assert message.error > 1e-4
     assert stage.pipe.on_reference(message, memoryview(unit))
-    for frame in range(3):
-        shown, true = stage.show(frame, pose), stage.truth(frame, pose)
-        assert shown.reference is not None
-        assert psnr(shown.rgb, true) > psnr(shown.distorted, true) - 0.1
+    shown, true = stage.show(8, pose), stage.truth(8, pose)  # until then nothing could be drawn
+    assert shown.reference is not None
+    assert psnr(shown.rgb, true) > psnr(shown.distorted, true) - 0.02
 
 
 def test_without_a_reference_the_distorted_picture_is_shown(reader: BundleReader) -> None:
