@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cags_client.frame.restore import expected_psnr_db
+from cags_client.frame.restore import expected_errors
 from cags_common.bundle.codecs import TileCodec
 from cags_common.bundle.manifest import Manifest
 from cags_common.errors import DecodeError
@@ -33,7 +33,7 @@ class Recorder:
         self.whole = whole
         self.store = TileStore(manifest, codec)
         self._camera, self._manifest = camera, manifest
-        self._errors = np.array([10 ** (-expected_psnr_db(lod, manifest) / 10) for lod in range(manifest.lods)])
+        self._errors = expected_errors(manifest)
         self._pass()
 
     @property

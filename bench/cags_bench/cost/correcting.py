@@ -74,7 +74,7 @@ def _methods(moment: Moment) -> Stage:
 def _whole_frame(moment: Moment) -> Stage:
     """Draw and correct with every combination of exactness, resolution and correction; judged by the picture shown."""
     _, received = _received(moment, DIFFERENCES.references)
-    reference = None if received is None else received.reference(moment.own_error)
+    reference = None if received is None else received.reference()
     points = tuple(
         _combination(moment, reference, exactness, resolution, method)
         for exactness, resolution, method in product(Exactness, (HALF, FULL), (NONE, CORRECT))

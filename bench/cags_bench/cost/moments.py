@@ -58,11 +58,6 @@ class Moment:
     truth: F32  # [H, W, 3] in [0, 1]
     source: Splats
 
-    @property
-    def own_error(self) -> float:
-        """Mean squared error that their pictures are expected to have, as correctors get it."""
-        return float(10 ** (-self.expected_db / 10))
-
     def view(self, options: RenderOptions | None = None) -> RenderedView:
         """The client's render from its camera."""
         return self.held.render(self.camera, options or RenderOptions())

@@ -69,7 +69,7 @@ class Referring:
         seen = view or moment.view()
         if reference is None:
             return seen.rgb
-        given = reference.reference(moment.own_error)
+        given = reference.reference()
         own = self._seen(moment.held) if given.picture else None
         return correction.create().correct(seen, moment.camera, given, own).rgb
 

@@ -72,16 +72,15 @@ def run_demo(scene: str, settings: DemoSettings, progress: IO[str]) -> dict[str,
     check_replaceable(out)
     beside = writable_folder(out if out.exists() else out.parent)
     bundle = demo_bundle(scene, size, settings)
-    frames, fps = clip_length(bundle)
-    part = is_bundle(scene) and 0 < settings.frames < frames
-    if is_bundle(scene) and settings.frames > frames:
-        raise ConfigError(f"frames = {settings.frames}: {scene} has {frames}; give fewer")
-    frames = settings.frames if part else frames
+    held, fps = clip_length(bundle)
+    frames = settings.frames or held
+    if frames > held:  # only a bundle: scenes are encoded at the length asked for
+        raise ConfigError(f"frames = {frames}: {scene} has {held}; give fewer")
     with tempfile.TemporaryDirectory(prefix=SCRATCH, dir=beside) as scratch:
         report = Path(scratch) / "report"
         report.mkdir()
         sized = replace(settings, width=width, height=height)
-        limit_s, duration_s = client_limit_s(frames, fps), frames / fps if part else None
+        limit_s, duration_s = client_limit_s(frames, fps), frames / fps if frames < held else None
         client = stream_once(str(bundle), sized, report, progress, limit_s=limit_s, duration_s=duration_s)
         summary = write_report(report, settings, frames)
         summary["client_exit_code"] = client
@@ -130,6 +129,8 @@ def show_live(scene: str, settings: DemoSettings, progress: IO[str]) -> None:
 
     Raises :class:`CagsError` if a part cannot run or ends by itself.
     """
+    if settings.frames and is_bundle(scene):
+        raise ConfigError(f"frames = {settings.frames}: --view plays all of the bundle {scene}; leave it out")
     size = machine_size(progress)
     width, height = settings.width or size.width_px, settings.height or size.height_px
     bundle = demo_bundle(scene, size, settings)

@@ -81,7 +81,7 @@ def _added(seam: Seam) -> list[str]:
 
 @cache
 def _installed(group: str, path: tuple[str, ...]) -> frozenset[str]:
-    """Names that other distributions on ``path`` enter; looked up once, for every method's name is checked by them."""
+    """Names of other distributions' entry points on ``path``, cached: every method name is checked against them."""
     others = entry_points(group=group)
     return frozenset(entry.name for entry in others if entry.dist is None or entry.dist.name != DISTRIBUTION)
 

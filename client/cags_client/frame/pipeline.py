@@ -18,7 +18,7 @@ from cags_client.frame.align import Aligned, AlignSettings
 from cags_client.frame.changes import Changes
 from cags_client.frame.painting import Canvas, Painter, StagedPictures
 from cags_client.frame.presented import PresentedFrame
-from cags_client.frame.restore import CORRECT, NONE, RestoreInput, Restorer, expected_psnr_db
+from cags_client.frame.restore import CORRECT, NONE, RestoreInput, Restorer, expected_errors, expected_psnr_db
 from cags_client.settings import ClientSettings, LiveSettings
 from cags_client.stats import Stopwatch
 from cags_client.store.references import Received, References
@@ -75,7 +75,7 @@ class ClientPipeline:
         prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
         self._aligner = align.create(settings.align, prpa)
         self._weights: bytes | None = None
-        self._errors = np.array([10 ** (-expected_psnr_db(lod, info) / 10) for lod in range(info.lods)])
+        self._errors = expected_errors(info)
         self._restorer_wanted = self.live.restore
         self._restorer = self._made_restorer()
 
@@ -353,8 +353,8 @@ class ClientPipeline:
             since = reference.frame, reference.basis if reference.assumes else None
             changed = self._changes.spheres(since, store.splats, canvas.camera, reference.camera.intrinsics.fx_px)
         stale = 1.0 - weight if Pass.FADE in plan else 0.0
-        past = reference.frame != self._shown_frame
-        known = self._references.beginning and past  # of its own frame, the comparison tells
+        # with a reference's own frame, the comparison itself tells how good the splats are
+        known = self._references.beginning and reference.frame != self._shown_frame
         own_error = store.shown.error_mean(canvas.camera, self._errors) if known else math.nan
         return Correction(reference.reference(own_error), canvas.display.intrinsics, changed=changed, stale=stale)
 

@@ -23,8 +23,8 @@ LATEST = 0.25
 """Largest lateness of a reference, as a share of the clip; in a loop, later ones belong to the next round."""
 
 BEGINNING = 12
-"""Frames after a start or a jump in which the levels held tell how good the client's splats are: a play begins when all
-of its first frames has come. Later, motion and updates may lack, of which the client does not know.
+"""Number of frames after a start or a jump for which the displayed levels tell how good the client's splats are: play
+begins when the first frame is complete. Later, motion and updates may be missing without the client knowing.
 """
 
 MAX_REFERENCE_PIXELS = 1 << 21

@@ -16,8 +16,8 @@ NOISE_WEIGHT = 2.0
 """Weight of the coding error, which varies over the picture."""
 
 MOST_DOUBTED = 0.01
-"""Largest error for which a picture is taken that is coarser than the client's own splats: a difference of a quarter of
-the range, as where splats are missing, still counts.
+"""Largest error that :func:`doubted` assumes: differences of a quarter of the range, as where splats are missing, still
+count.
 """
 
 LEAST_POWER = 1e-9
@@ -59,13 +59,12 @@ def layer(coded: F32, own: F32, error: float) -> F32:
 
 
 def doubted(error: float, own_error: float) -> float:
-    """The error for which to take a picture whose coding left ``error``, in a view whose splats are expected to have
-    ``own_error``; mean squares of RGB in [0, 1], and NaN where nothing is known.
+    """The ``error`` to pass to :func:`layer` for a picture of an earlier frame whose coding left ``error``, where the
+    client's splats are expected to have ``own_error`` (NaN: unknown). All are mean squares of RGB in [0, 1].
 
-    Where the splats are better than the picture, they differ from it for other reasons: they are not there yet, or the
-    scene has moved on since the picture was made. :func:`layer` cannot tell their error then, because what has moved
-    looks like it, and would lay the coding error over everything. The picture's error is raised by the ratio of the
-    two, in steps of an octave.
+    Splats that are better than the picture differ from it because some are missing or because the scene has moved on.
+    :func:`layer` would mistake that motion for an error of the splats and add the picture's coding error everywhere.
+    The error is therefore multiplied by the ratio of the two, in steps of an octave.
     """
     if not 0 <= own_error < error:
         return error

@@ -128,12 +128,12 @@ class ByteBudget:
         return max(self._outstanding_bytes - min(newest.in_flight_bytes, link_bps * newest.shortest_rtt_us / 8e6), 0.0)
 
     def close(self, left_bytes: int, now_us: int) -> None:
-        """A choice of tiles is made, of which a frame may have several; its unused budget is saved, up to a limit."""
+        """Tiles have been chosen, which may happen several times a frame; the unused budget is saved, up to a limit."""
         most = max(self._link.allowance_bps(now_us) * MAX_SAVED_S / 8, MIN_SAVED_BYTES)
         self._saved_bytes = min(max(0, left_bytes), int(most))
 
     def end_frame(self) -> None:
-        """The frame is planned: what of references comes now belongs to the next one."""
+        """The frame is planned: references from now on count towards the next one."""
         self._references.end()
 
 

@@ -29,8 +29,8 @@ GAIN_RIDGE_STEPS = 600.0
 """Weight of the pull towards a gain of 1: so many grid steps of average motion (twenty seconds)."""
 
 LEAST_MOTION = 1e-3
-"""Predicted displacements, radians and metres, of which the pull is that of at least so much: what is predicted for a
-viewer who stands still is rounding, of which a gain would make anything, once they move.
+"""Least average motion that the pull assumes, radians and metres. While a viewer stands still, predictions are rounding
+errors; without a floor, the gain would be a quotient of two sums of them once the viewer moves.
 """
 
 MAX_GROWTH = 2.0

@@ -207,9 +207,9 @@ def _runs(observation: Observation, tile: TileView, errors: Errors) -> list[_Run
 def _together(observation: Observation, tile: TileView, errors: Errors, levels: tuple[float, ...]) -> int:
     """How many LoDs of a new tile go together; 0 where one will do.
 
-    ``levels`` are the error without the tile and at each of its LoDs. It takes enough LoDs to be better than nothing;
-    if the budget suffices, those that weigh no more than the message in which they would come later go at once, and of
-    an update enough to be about as good as the looks around it.
+    ``levels`` are the error without the tile and at each of its LoDs. It takes enough LoDs to be better than nothing.
+    If the budget suffices, LoDs that are no larger than the headers of a second message are included, and for an update
+    enough to be about as good as the looks around it.
     """
     absent, *left = levels
     least = next((lod for lod, error in enumerate(left, start=1) if error < absent), len(left))

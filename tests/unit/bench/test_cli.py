@@ -236,6 +236,8 @@ def test_the_demo_plays_the_first_frames_of_a_bundle(
     assert asked == [None, 1.5, None]
     with pytest.raises(ConfigError, match="has 90; give fewer"):
         run.run_demo(str(tmp_path), replace(played, out=str(tmp_path / "out"), frames=91), io.StringIO())
+    with pytest.raises(ConfigError, match=r"--view plays all of the bundle .*; leave it out"):
+        run.show_live(str(tmp_path), replace(played, frames=45), io.StringIO())
 
 
 def test_the_demo_takes_a_bundle_as_it_is_but_no_published_folder(tmp_path: Path) -> None:

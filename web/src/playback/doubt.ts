@@ -4,9 +4,9 @@ const MOST_DOUBTED = 0.01;
 const LEAST_POWER = 1e-9;
 
 /**
- * The error for which to take a picture whose coding left `error`, in a view whose splats are expected to have `ownError`;
- * mean squares of RGB from 0 to 1, and NaN where nothing is known. Where the splats are better, they differ from it because
- * some are not there yet, or because the scene has moved on: then only large differences count.
+ * The error to assume for a picture of an earlier frame whose coding left `error`, where the splats are expected to have
+ * `ownError` (NaN: unknown); mean squares of RGB from 0 to 1. Splats that are better than the picture differ from it because
+ * some are missing or because the scene has moved on: then only large differences count.
  */
 export function doubted(error: number, ownError: number): number {
   if (!(ownError >= 0 && ownError < error)) return error;

@@ -13,7 +13,7 @@ const PATIENCE_FRAMES = 3;
 /** A reference is late by at most this share of the clip; in a loop, any other belongs to the next round. */
 const LATEST = 0.25;
 
-/** Frames after a start or a jump in which the levels held tell how good the splats are; as `cags_client.store.references`. */
+/** Frames after a start or a jump for which the displayed levels tell how good the splats are; as `cags_client.store.references`. */
 const BEGINNING = 12;
 
 export interface Received<P> {

@@ -115,6 +115,7 @@ export class SceneStore {
       if (changedSince.frame === frame && changedSince.basis !== undefined) this.changes.used(changedSince.basis);
       if (this.manifest.moves) this.changes.shown(frame, store.buffer.column("means"));
     }
+    const detail = view && store.detailIn(view);
     const changed = changedSince &&
       this.changes.since(changedSince, store.buffer.column("means"), store.buffer.column("log_scales"));
     return {
@@ -122,8 +123,7 @@ export class SceneStore {
       capacity: store.buffer.capacity, shCount: store.buffer.shCount, patches,
       changedRows: committed.rows.length, movedRows: committed.moved.length, shDegree: this.shDegree,
       missed: committed.missed, full: store.full && !committed.missed,
-      lodMean: view ? store.lodMean(view) : NaN,
-      ownError: view ? store.errorMean(view) : NaN,
+      lodMean: detail?.lod ?? NaN, ownError: detail?.error ?? NaN,
       bufferMs: (this.store.ahead(frame) * 1e3) / this.manifest.fps, mark: this.mark,
       ...(changed ? { changed } : {}),
       workMs: performance.now() - begun,
@@ -173,8 +173,8 @@ function heldBand(words: Uint32Array, rows: number, width: number): number {
 }
 
 /**
- * Memory that a group's splats may take where the page does not say, MB: half of the device's, of which browsers tell 8 GB
- * at most; as on a device of 4 GB where they tell nothing.
+ * Default limit on the memory of a group's splats, MB: half of the device's memory, which browsers report up to 8 GB.
+ * Where they report nothing, 4 GB are assumed.
  */
 export function memoryMb(): number {
   const { deviceMemory = 4 } = (globalThis.navigator ?? {}) as { readonly deviceMemory?: number };

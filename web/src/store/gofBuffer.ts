@@ -260,25 +260,20 @@ export class GofBuffer {
     return looks !== undefined && looks.onDisplay && this.buffer.moves(held.looks) === frameOf(held.key);
   }
 
-  /** Mean LoD of the shown splats of tiles whose bounding sphere meets the view; NaN where none does. */
-  lodMean(camera: Camera): number {
-    return this.meanInView(camera, (lod) => lod);
-  }
-
-  /** Mean squared error that these splats are expected to have, RGB from 0 to 1; NaN likewise. */
-  errorMean(camera: Camera): number {
-    return this.meanInView(camera, (lod) => this.manifest.lodErrors[lod]!);
-  }
-
-  private meanInView(camera: Camera, of: (lod: number) => number): number {
-    let [weights, sum] = [0, 0];
+  /**
+   * Of the shown splats of tiles whose bounding sphere meets the view: their mean LoD, and the mean squared error that they
+   * are expected to have, RGB from 0 to 1. NaN where there are none.
+   */
+  detailIn(camera: Camera): { readonly lod: number; readonly error: number } {
+    let [weights, lods, errors] = [0, 0, 0];
     const meets = viewCone(camera);
     for (const tile of this.shown) {
       if (!tile.onDisplay || tile.shownLod < 0 || !meets(tile.sphere)) continue;
       weights += tile.owned;
-      sum += tile.owned * of(tile.shownLod);
+      lods += tile.owned * tile.shownLod;
+      errors += tile.owned * this.manifest.lodErrors[tile.shownLod]!;
     }
-    return weights > 0 ? sum / weights : NaN;
+    return { lod: lods / weights, error: errors / weights };
   }
 }
 

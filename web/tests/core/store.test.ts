@@ -33,7 +33,7 @@ function bytes(array: Float32Array): Uint8Array {
 }
 
 function shown(store: TileStore, gof: GofBuffer, committed: Committed): Record<string, unknown> {
-  const mean = gof.lodMean(CAMERA);
+  const { lod, error } = gof.detailIn(CAMERA);
   return {
     columns: Object.fromEntries(COLUMNS.map((name) => [name, crc32(bytes(gof.buffer.column(name)))])),
     owners: crc32(Uint8Array.from(gof.buffer.owner, (owner) => (owner >= 0 ? 1 : 0))),
@@ -44,8 +44,8 @@ function shown(store: TileStore, gof: GofBuffer, committed: Committed): Record<s
     held: store.held().map((t) => [t.frame, t.tile, t.lods]).sort((a, b) => a[0]! - b[0]! || a[1]! - b[1]!),
     ahead: store.ahead(0),
     dropped: store.takeDropped().length,
-    lodMean: Number.isNaN(mean) ? null : mean,
-    ownError: Number.isNaN(mean) ? null : gof.errorMean(CAMERA),
+    lodMean: Number.isNaN(lod) ? null : lod,
+    ownError: Number.isNaN(error) ? null : error,
   };
 }
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from cags_client.frame.restore.base import RestoreInput, Restorer, expected_psnr_db
+from cags_client.frame.restore.base import RestoreInput, Restorer, expected_errors, expected_psnr_db
 from cags_common.errors import ConfigError
 from cags_common.registry import Registry
 from cags_protocol.wire.messages import ANY_REFERENCE, NO_REFERENCES, PICTURES_ONLY
@@ -23,6 +23,7 @@ __all__ = [
     "RestorerOptions",
     "check_name",
     "create",
+    "expected_errors",
     "expected_psnr_db",
     "references_wanted",
     "switchable",

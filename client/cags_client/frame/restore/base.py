@@ -10,7 +10,7 @@ import numpy as np
 
 from cags_client.frame.align.base import Aligned
 from cags_common.bundle.manifest import Manifest
-from cags_common.geometry import F32
+from cags_common.geometry import F32, F64
 from cags_common.passes import Pass
 
 ALIGNED = frozenset({Pass.ALIGNMENT, Pass.EROSION})
@@ -44,6 +44,11 @@ def expected_psnr_db(lod_mean: float, info: Manifest) -> float:
         return base_db + float(np.interp(lod_mean, np.arange(len(won)), won))
     share = lod_mean / (info.lods - 1) if info.lods > 1 else 1.0
     return base_db + math.sqrt(share) * max(TYPICAL_TOP_DB - base_db, 0.0)
+
+
+def expected_errors(info: Manifest) -> F64:
+    """Mean squared errors [lods], RGB in [0, 1], of pictures at each LoD, by :func:`expected_psnr_db`."""
+    return np.array([10 ** (-expected_psnr_db(lod, info) / 10) for lod in range(info.lods)])
 
 
 class Restorer(Protocol):

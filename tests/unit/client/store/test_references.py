@@ -233,12 +233,18 @@ def test_a_reference_that_comes_when_the_next_round_has_begun_is_of_no_use_in_it
         assert references.next_basis() is None
 
 
-def test_a_picture_says_what_coding_has_left_in_it() -> None:
-    references, video = References(), Video()
-    message, unit, basis = video.picture(0)
-    assert references.add(replace(message, error=1e-4), unit, basis)
+def picture_of_error(error: float) -> Received:
+    """A shown picture, in which coding has left ``error``."""
+    references = References()
+    message, unit, basis = Video().picture(0)
+    assert references.add(replace(message, error=error), unit, basis)
     received = shown(references, 0, 0)
     assert received is not None
+    return received
+
+
+def test_a_picture_says_what_coding_has_left_in_it() -> None:
+    received = picture_of_error(1e-4)
     assert received.coded is not None
     assert received.reference().error == pytest.approx(1e-4)
 
@@ -262,11 +268,7 @@ def test_a_play_has_a_beginning_and_another_one_after_a_jump() -> None:
 
 
 def test_a_picture_poorer_than_the_splats_is_told_so_and_stays_the_same_while_they_do() -> None:
-    references, video = References(), Video()
-    message, unit, basis = video.picture(0)
-    assert references.add(replace(message, error=1e-4), unit, basis)
-    received = shown(references, 0, 0)
-    assert received is not None
+    received = picture_of_error(1e-4)
     assert received.reference(1e-3) is received.reference()
     doubtful = received.reference(2e-5)
     assert doubtful.error == pytest.approx(4e-4)
