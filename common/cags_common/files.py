@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -61,11 +62,10 @@ def writable_folder(path: Path) -> Path:
     """Create the folder if necessary and return it. Raises :class:`OutputError` if files cannot be written in it."""
     if path.exists() and not path.is_dir():
         raise OutputError(f"{path}: cannot be written (it is no folder); choose another place")
-    probe = path / ".cags-probe"
     try:
         path.mkdir(parents=True, exist_ok=True)
-        probe.touch()
-        probe.unlink()
+        with tempfile.TemporaryFile(dir=path, prefix=".cags-probe"):
+            pass
     except OSError as error:
         raise OutputError.of(path, error) from error
     return path

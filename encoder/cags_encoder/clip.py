@@ -19,6 +19,7 @@ from cags_encoder.execution.executors import INLINE, Shared, Workers, ahead
 from cags_encoder.execution.journal import FrameRecord, Journal
 from cags_encoder.frames.differential import DecoderCopy
 from cags_encoder.frames.moving import SHARE, MovingGroups
+from cags_encoder.frames.outdated import Outdated
 from cags_encoder.frames.tasks import AnyCut, look, pack, quantise, quantise_looks
 from cags_encoder.motion.tolerance import Tolerances
 from cags_encoder.motion.trails import Trails
@@ -49,8 +50,6 @@ class ClipEncoder:
         self.placer = ClipPlacer(source.name, settings.gof_frames)
         self.capacity: list[int] = []
         """For each group, its largest id plus one."""
-        self.outdated_db: float | None = None
-        """See :attr:`~cags_common.bundle.manifest.Manifest.outdated_db`."""
         self._gof: GofWriter | None = None
 
     def run(
@@ -60,16 +59,18 @@ class ClipEncoder:
         tell: Callable[[int], None],
         motion: MotionSteps | None = None,
         tolerances: Tolerances = Tolerances(),  # noqa: B008 - it is frozen
+        *,
+        outdated: Outdated | None = None,
     ) -> None:
         """Encode ``count`` frames; those in ``journal`` are not packed again. ``tell`` gets the number finished.
 
         With ``motion``, splats keep their looks and their motion is coded in these units, with the accuracy of
-        ``tolerances``. Without it, changed splats are sent again.
+        ``tolerances``; ``outdated`` looks at what updates replace. Without it, changed splats are sent again.
         """
         readers = INLINE if is_still(self._source.get()) else self._workers
         looks = ahead(readers, look, range(count), lambda index: (self._source, index))
         placed = self.placer.place(looks)
-        chosen = self._differing(placed) if motion is None else self._moving(placed, motion, tolerances)
+        chosen = self._differing(placed) if motion is None else self._moving(placed, motion, tolerances, outdated)
         for frame, record in self._packed(chosen, journal):
             self._write(frame, record)
             tell(frame.index + 1)
@@ -98,17 +99,18 @@ class ClipEncoder:
                 held = DecoderCopy(self._codec.get(), self._settings.change_threshold)
             yield _Chosen(frame, quantised.source, held.send(frame.delta, quantised))
 
-    def _moving(self, placed: Iterable[Placed], motion: MotionSteps, tolerances: Tolerances) -> Iterator[_Chosen]:
+    def _moving(
+        self, placed: Iterable[Placed], motion: MotionSteps, tolerances: Tolerances, outdated: Outdated | None
+    ) -> Iterator[_Chosen]:
         """Looks sent once, changed attributes, and motion."""
         codec, span = self._codec.get(), self._settings.motion_span
         assert isinstance(codec, SvqCodec)
         trails = Trails(span, SHARE * self._settings.change_threshold, ease_of(codec.top_psnr_db))
-        groups = MovingGroups(codec, motion, trails, self._settings, tolerances)
+        groups = MovingGroups(codec, motion, trails, self._settings, tolerances, outdated=outdated)
         followed = trails.follow(placed)
         for frame, quantised in ahead(self._workers, quantise_looks, followed, lambda frame: (self._codec, frame)):
             yield _Chosen(frame, quantised.source, groups.send(frame, quantised))
             trails.forget(frame.index)
-        self.outdated_db = None if groups.outdated_db is None else round(groups.outdated_db, 3)
 
     def _write(self, frame: Placed, record: FrameRecord) -> None:
         if frame.key:

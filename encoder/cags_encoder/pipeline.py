@@ -28,6 +28,7 @@ from cags_encoder.codecs.registry import CLIP_CODECS, ClipCodec, train_codec
 from cags_encoder.codecs.svq import SvqCodec
 from cags_encoder.execution.executors import INLINE, Shared, Workers, ahead
 from cags_encoder.execution.journal import Journal
+from cags_encoder.frames.outdated import Outdated
 from cags_encoder.frames.tasks import read
 from cags_encoder.measuring import (
     VIEWS,
@@ -158,11 +159,17 @@ class _Encoding:
             writer.quality(self._quality)
         clip = ClipEncoder(self._source, self._settings, codec, writer, self._workers)
         motion = self._motion(codec)
+        outdated = None if motion is None or codec.base_psnr_db is None else self._outdated()
         self._tell("encode", 0, self._count)
-        clip.run(
-            self._count, self._journal, lambda done: self._tell("encode", done, self._count), motion, self._tolerances
+
+        def tell(done: int) -> None:
+            self._tell("encode", done, self._count)
+
+        clip.run(self._count, self._journal, tell, motion, self._tolerances, outdated=outdated)
+        found = () if outdated is None else outdated.psnr_db
+        manifest = replace(
+            self._manifest(codec, clip), motion=motion, tracks=clip.placer.tracks(), outdated_psnr_db=found
         )
-        manifest = replace(self._manifest(codec, clip), motion=motion, tracks=clip.placer.tracks())
         self._thumbnail(manifest, writer)
         return writer.commit(manifest)
 
@@ -201,6 +208,13 @@ class _Encoding:
         if self._journal:
             self._journal.write_note("tolerances", asdict(found))
         return found
+
+    def _outdated(self) -> Outdated | None:
+        """Looks at what updates replace, if the rasteriser is fast enough."""
+        rasteriser = create("auto")
+        if rasteriser.name == "oracle":
+            return None
+        return Outdated(cameras_around(self._source.focus, self._source.up, VIEWS), rasteriser, self._count)
 
     def _pruned(self, source: FrameSource) -> FrameSource:
         def tell(done: int, total: int) -> None:
@@ -323,7 +337,6 @@ class _Encoding:
             lod_gains_db=codec.lod_gains_db,
             base_psnr_db=codec.base_psnr_db,
             still_psnr_db=self._still,
-            outdated_db=clip.outdated_db,
             codec=self._settings.codec,
             quantiser=self._settings.quantiser if self._settings.codec == "svq" else "",
             up=_vector(np.asarray(source.up)),

@@ -24,7 +24,7 @@ FORMAT = "cags-bundle"
 VERSION = 8
 MAX_MANIFEST_BYTES = 16 * 2**20
 MAX_FRAMES = 1_000_000
-MAX_STILL = 64
+MAX_LAGS = 64
 
 MAX_WHOLE_SPLATS = 1 << 20
 """Largest sum of :attr:`Manifest.capacity` of a clip that decoders keep whole."""
@@ -118,9 +118,9 @@ class Manifest:
     still_psnr_db: tuple[tuple[int, float], ...] = ()
     """(frames, PSNR) by rising frames: renders of a frame against those of the frame so many later, in the mean over
     the clip; empty when it was not measured."""
-    outdated_db: float | None = None
-    """Squared visible error of the attributes that updates replace, at the end of their ramps, relative to that of the
-    updates' level 0, dB, in the mean over the clip; None when it was not measured, or there are no updates."""
+    outdated_psnr_db: tuple[tuple[int, float], ...] = ()
+    """(frames, PSNR) by rising frames: renders that lack updates for so many frames against those that lack none, over
+    what the updated splats make up of them; empty when it was not measured, or there are no updates."""
     version: int = VERSION
 
     @property
@@ -151,11 +151,12 @@ class Manifest:
         for name in ("pruning", "motion", "tracks"):
             if table[name] is None:
                 del table[name]
-        for name in ("weights_crc", "base_psnr_db", "outdated_db"):
+        for name in ("weights_crc", "base_psnr_db"):
             if table[name] is None:
                 del table[name]
-        if not self.still_psnr_db:
-            del table["still_psnr_db"]
+        for name in ("still_psnr_db", "outdated_psnr_db"):
+            if not table[name]:
+                del table[name]
         del table["view"]
         if self.view is not None:
             table["view"] = self.view.table()
@@ -195,8 +196,8 @@ def _checked(fields: Fields) -> Manifest:
         lod_order=fields.many("lod_order", _lod_layer, MAX_LODS - 1),
         lod_gains_db=fields.many("lod_gains_db", lambda f: f.number("", -1e3, 1e3), MAX_LODS - 1),
         base_psnr_db=fields.number("base_psnr_db", -1e3, 1e3) if fields.has("base_psnr_db") else None,
-        still_psnr_db=fields.many("still_psnr_db", _still, MAX_STILL) if fields.has("still_psnr_db") else (),
-        outdated_db=fields.number("outdated_db", -1e3, 1e3) if fields.has("outdated_db") else None,
+        still_psnr_db=_by_frames(fields, "still_psnr_db"),
+        outdated_psnr_db=_by_frames(fields, "outdated_psnr_db"),
         codec=fields.text("codec"),
         quantiser=fields.text("quantiser"),
         up=fields.vector("up"),
@@ -217,19 +218,27 @@ def _checked(fields: Fields) -> Manifest:
         )
     if len(manifest.capacity) != len(starts) or len(manifest.gofs) not in (0, len(starts)):
         raise BundleError(f"manifest: capacity and gofs must have one entry for each of the {len(starts)} groups")
-    lags = [frames for frames, _ in manifest.still_psnr_db]
-    if any(a >= b for a, b in pairwise(lags)):
-        raise BundleError(f"manifest: still_psnr_db must rise in frames, found {lags}")
     if len(manifest.lod_gains_db) not in (0, len(manifest.lod_order)):
         raise BundleError("manifest: lod_gains_db must be empty or have one entry for each LoD of lod_order")
     return manifest
 
 
-def _still(field: Fields) -> tuple[int, float]:
-    pair = field.many("", lambda f: f.number("", -1e3, 1e9), 2)
-    if len(pair) != 2 or pair[0] != int(pair[0]) or not 1 <= pair[0] <= MAX_FRAMES:
-        raise BundleError(f"manifest: still_psnr_db must be pairs of frames from 1 on and decibels, found {pair}")
-    return int(pair[0]), pair[1]
+def _by_frames(fields: Fields, name: str) -> tuple[tuple[int, float], ...]:
+    """Optional pairs of frames and decibels."""
+    if not fields.has(name):
+        return ()
+
+    def pair(field: Fields) -> tuple[int, float]:
+        read = field.many("", lambda f: f.number("", -1e3, 1e9), 2)
+        if len(read) != 2 or read[0] != int(read[0]) or not 1 <= read[0] <= MAX_FRAMES:
+            raise BundleError(f"manifest: {name} must be pairs of frames from 1 on and decibels, found {read}")
+        return int(read[0]), read[1]
+
+    pairs = fields.many(name, pair, MAX_LAGS)
+    lags = [frames for frames, _ in pairs]
+    if any(a >= b for a, b in pairwise(lags)):
+        raise BundleError(f"manifest: {name} must rise in frames, found {lags}")
+    return pairs
 
 
 def _bounds(fields: Fields) -> tuple[Vec3, Vec3]:

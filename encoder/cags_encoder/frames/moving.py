@@ -24,6 +24,7 @@ from cags_common.tiles.svq import CodebookSet
 from cags_common.tiles.updates import RAMP_COLUMNS
 from cags_encoder.codecs.svq import SvqCodec, SvqSplats
 from cags_encoder.frames.differential import QuantisedDelta
+from cags_encoder.frames.outdated import Outdated
 from cags_encoder.motion.chunks import ROUND, TrackSpan
 from cags_encoder.motion.fades import changing, fit_fades
 from cags_encoder.motion.tolerance import Tolerances
@@ -110,9 +111,17 @@ class MovingGroups:
     """Chooses the content of each frame, group after group."""
 
     def __init__(
-        self, codec: SvqCodec, steps: MotionSteps, trails: Trails, settings: EncodeSettings, tolerances: Tolerances
+        self,
+        codec: SvqCodec,
+        steps: MotionSteps,
+        trails: Trails,
+        settings: EncodeSettings,
+        tolerances: Tolerances,
+        *,
+        outdated: Outdated | None = None,
     ) -> None:
-        self._codec, self._trails, self._tolerances = codec, trails, tolerances
+        """``outdated`` looks at what updates replace."""
+        self._codec, self._trails, self._tolerances, self._outdated = codec, trails, tolerances, outdated
         self._span, self._threshold = settings.motion_span, settings.change_threshold
         self._steps = Steps(np.array(steps.moves, np.float32), np.array(steps.turns, np.float32))
         self._books: CodebookSet = codec.quantiser.books
@@ -126,22 +135,14 @@ class MovingGroups:
         self._fading = np.zeros(0, bool)  # [capacity] whether a fade describes the opacity now
         self._faded: list[Ids] = []  # ids whose fades ended at this frame
         self._owner = np.zeros((0, 2), np.int64)  # [capacity] key of the tile that holds a splat's looks
-        self._outdated = self._coarse = 0.0
-
-    @property
-    def outdated_db(self) -> float | None:
-        """Squared visible error of what updates have replaced so far, as it would be at the end of their ramps,
-        relative to that of their own lowest level, dB. None before any update.
-        """
-        if not self._outdated or not self._coarse:
-            return None
-        return float(10 * np.log10(self._outdated / self._coarse))
 
     def send(self, frame: Placed, quantised: QuantisedDelta) -> tuple[CutTile | UpdateCut | TrackSpan, ...]:
         """Content of ``frame``; ``quantised`` [b] are its new splats."""
         if frame.key:
             self._tracks, self._held = [], None
             self._tolerated = self._tolerances
+            if self._outdated is not None:
+                self._outdated.restart()
         self._room(frame.capacity)
         self._advance(frame.index)
         assert frame.told is not None
@@ -161,7 +162,10 @@ class MovingGroups:
         chunks = self._chunks(frame.index)
         updates = [] if again is None else self._updates(frame.index, again)
         judged = np.zeros(0, np.int32) if again is None else again.ids
-        return (*looks, *chunks, *updates, *self._after_fades(frame.index, judged))
+        updates += self._after_fades(frame.index, judged)
+        if self._outdated is not None and self._held is not None:
+            self._outdated.look(frame.index, self._held)
+        return (*looks, *chunks, *updates)
 
     def _room(self, capacity: int) -> None:
         more = capacity - len(self._fading)
@@ -345,7 +349,9 @@ class MovingGroups:
         rows = np.flatnonzero(np.logical_or.reduce(list(changed.values())))
         if not len(rows) or self._held is None:
             return []
-        self._compare(self._held.take(ids), changed, again)
+        if self._outdated is not None and self._outdated.wants(frame):
+            of = {column: changed[name][rows] for name, column in (*COLUMNS.items(), ("opacity", "logit_opacities"))}
+            self._outdated.lack(frame, ids[rows], of, self._held.take(ids[rows]))
         self._take_over(frame, ids, changed, again.fresh, again.lengths)
         means = again.prepared.means
         most = len(rows) > MOST_CHANGE * int(self._held.alive.sum())
@@ -357,15 +363,6 @@ class MovingGroups:
             lengths = {column: length[run] for column, length in again.lengths.items()}
             tiles.append(UpdateCut(ids[run], masks, lengths, again.coded.take(run), corners(means[run])))
         return tiles
-
-    def _compare(self, held: Splats, changed: dict[str, NDArray[np.bool_]], again: _Again) -> None:
-        """Add up the errors of the attributes that an update replaces, and of its lowest level, against its highest."""
-        fresh, coarse = again.fresh, self._codec.coarse(again.coded)
-        weight = np.maximum(drawn(held.logit_opacities), drawn(fresh.logit_opacities))
-        old, new = (_effects(shown, fresh, fresh.log_scales, weight) for shown in (held, coarse))
-        for name in COLUMNS:
-            self._outdated += float(np.square(old[name][changed[name]]).sum())
-            self._coarse += float(np.square(new[name][changed[name]]).sum())
 
     def _after_fades(self, frame: int, judged: Ids) -> list[UpdateCut]:
         """Opacities of splats whose fade has ended and that are not among the ``judged`` ones: the decoder holds their

@@ -79,8 +79,8 @@ class Observation:
     """(frames, squared error relative to a base layer's) of splats that have stood still for so long, as measured, by
     rising frames; empty if unknown.
     """
-    outdated_error: float | None = None
-    """Squared error of what updates replace, relative to that of their base layers, as measured; None if unknown."""
+    outdated_errors: tuple[tuple[float, float], ...] = ()
+    """The same of splats that have lacked updates for so long."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,9 +9,10 @@ splats in its place, as in a key frame.
 
 Motion and updates have the same unit of value. Splats without their motion stand still, which is the worse the longer
 it lasts; how fast is measured by the encoder (``still_psnr_db``), since clips differ by a factor of ten thousand.
-Splats without an update show an old attribute; the encoder measures how wrong that is (``outdated_db``). The last level
-of motion that says anything leaves as much error as the best looks do, each level before it more. A chunk that begins
-later is worth less now, so chunks that begin together are sent one by one while the link has room.
+Splats without their updates show old attributes, which gets worse in the same way (``outdated_psnr_db``): one update
+less is hardly seen, and of five in a row nothing is left of some pictures. The last level of motion that says anything
+leaves as much error as the best looks do, each level before it more. A chunk that begins later is worth less now, so
+chunks that begin together are sent one by one while the link has room.
 
 A layer of small gain may precede one of large gain. A tile's layers are therefore offered in runs along the convex hull
 of removed distortion over bytes, steepest first, which makes the greedy order optimal up to the last run.
@@ -38,7 +39,7 @@ HOLE_DB, STALE_DB = 20.0, 6.0
 """Error of a missing tile, and of the previous frame's splats where that was not measured, relative to a base layer."""
 
 OUTDATED = 1.0
-"""Error of an outdated attribute relative to a base layer's, where it was not measured."""
+"""Error of an attribute that is out of date for a frame, relative to a base layer's, where it was not measured."""
 
 LEVEL_DB = 20.0 * log10(REFINEMENT)
 """Error of a level of motion relative to the next, by the ratio of their units."""
@@ -113,8 +114,8 @@ class Errors:
     """Mean error of the held looks over the picture."""
     still: tuple[tuple[float, float], ...] = ()
     """See :attr:`~cags_server.ratecontrol.base.Observation.still_errors`."""
-    outdated: float = OUTDATED
-    """See :attr:`~cags_server.ratecontrol.base.Observation.outdated_error`."""
+    outdated: tuple[tuple[float, float], ...] = ()
+    """See :attr:`~cags_server.ratecontrol.base.Observation.outdated_errors`."""
 
 
 def errors_of(observation: Observation) -> Errors:
@@ -123,8 +124,7 @@ def errors_of(observation: Observation) -> Errors:
     looks = [tile for tile in observation.tiles if tile.kind == TileKind.LOOKS and tile.depth]
     weight = sum(tile.weight for tile in looks)
     held = sum(tile.weight * lods[tile.depth - 1] for tile in looks) / weight if weight else 1.0
-    outdated = OUTDATED if observation.outdated_error is None else observation.outdated_error
-    return Errors(lods, held, observation.still_errors, outdated)
+    return Errors(lods, held, observation.still_errors, observation.outdated_errors)
 
 
 def _distortions(observation: Observation) -> tuple[float, ...]:
@@ -143,28 +143,37 @@ def _gain_db(measured: tuple[float, ...], lod: int) -> float:
     return float(FIRST_GAIN_DB * GAIN_DECAY ** (lod - 1))
 
 
-def _frames_left(tile: TileView) -> float:
-    """Lifetime of the tile's splats, one frame at least."""
-    return max(tile.frames_left, 1.0)
+def _seen_for(tile: TileView) -> float:
+    """Frames for which what a tile brings will be seen, one at least.
+
+    Updates that were lacked for some frames over this link will be lacked for as many again after this one.
+    """
+    left = max(tile.frames_left, 1.0)
+    return left + tile.stale_frames if tile.kind == TileKind.UPDATE and not tile.depth else left
 
 
 def absent(tile: TileView, errors: Errors) -> float:
     """Squared error without the tile, relative to that of its base layer, as a mean over its remaining frames."""
     if tile.kind == TileKind.UPDATE:
-        return min(errors.held + errors.outdated, _ratio(HOLE_DB))
+        frames = tile.stale_frames + (_seen_for(tile) - 1) / 2
+        return min(errors.held + grown(frames, errors.outdated or ((1.0, OUTDATED),)), _ratio(HOLE_DB))
     if tile.kind == TileKind.MOTION:  # the error of a missing chunk grows for a long time
-        return stood_still(tile.stale_frames + tile.frames_left / 2, errors.still)
-    return tile.replaces * stood_still(tile.stale_frames, errors.still) + (1.0 - tile.replaces) * _ratio(HOLE_DB)
+        return _stood_still(tile.stale_frames + tile.frames_left / 2, errors)
+    return tile.replaces * _stood_still(tile.stale_frames, errors) + (1.0 - tile.replaces) * _ratio(HOLE_DB)
 
 
-def stood_still(frames: float, measured: tuple[tuple[float, float], ...]) -> float:
-    """Squared error of splats that have stood still for so many ``frames``, relative to a base layer's: at most that of
-    a hole.
+def _stood_still(frames: float, errors: Errors) -> float:
+    return grown(frames, errors.still or ((1.0, _ratio(STALE_DB)),))
 
-    Between the ``measured`` points and beyond them it follows lines. Where nothing was measured motion is taken for a
-    random walk, whose squared error grows in proportion to time.
+
+def grown(frames: float, measured: tuple[tuple[float, float], ...]) -> float:
+    """Squared error of splats that have been out of date for so many ``frames``, relative to a base layer's: at most
+    that of a hole.
+
+    Between the ``measured`` points and beyond them it follows lines. From a single one the change is taken for a random
+    walk, whose squared error grows in proportion to time.
     """
-    points = ((0.0, 0.0), *measured) if measured else ((0.0, 0.0), (1.0, _ratio(STALE_DB)))
+    points = ((0.0, 0.0), *measured)
     following = next((at for at in range(1, len(points)) if frames <= points[at][0]), len(points) - 1)
     (first, low), (last, high) = points[following - 1 : following + 1]
     slope = (high - low) / (last - first)
@@ -194,7 +203,7 @@ def left_by(tile: TileView, distortions: tuple[float, ...]) -> tuple[float, ...]
 def _runs(observation: Observation, tile: TileView, errors: Errors) -> list[_Run]:
     """The tile's missing layers as runs of falling slope."""
     early = max(tile.frame - observation.frame, 0)
-    value = tile.weight * _frames_left(tile) * max(1.0 - early / AHEAD_FRAMES, 0.0)
+    value = tile.weight * _seen_for(tile) * max(1.0 - early / AHEAD_FRAMES, 0.0)
     levels = left_by(tile, errors.lods)
     held = (absent(tile, errors), *levels)[tile.depth]
     layered, overhead = observation.layered, observation.message_overhead_bytes

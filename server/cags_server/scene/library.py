@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import threading
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,11 +38,11 @@ class SceneLibrary:
         """What clients make of tiles."""
         self.weights = reader.weights()
         """Weights of a restorer trained for this content, offered to clients."""
-        self.still_errors = _still_errors(reader.manifest)
+        base_db = reader.manifest.base_psnr_db
+        self.still_errors = _errors(reader.manifest.still_psnr_db, base_db)
         """(frames, squared error relative to the base layer's) if nothing moves for so long; empty if unknown."""
-        outdated_db = reader.manifest.outdated_db
-        self.outdated_error = None if outdated_db is None else 10.0 ** (outdated_db / 10.0)
-        """Squared error of what updates replace, relative to the base layer's; None if unknown."""
+        self.outdated_errors = _errors(reader.manifest.outdated_psnr_db, base_db)
+        """The same of what updates replace, if they are lacked for so long."""
         self._owners = Recent[tuple[int, int], Owners](OWNER_BYTES, least=OWNER_FRAMES)  # by (group, frame)
         self._stays = Recent[int, Stays](OWNER_BYTES)  # by frame
         self._tallies = Recent[int, Tally](TALLY_BYTES)  # by frame
@@ -200,8 +201,7 @@ class SceneLibrary:
         return owners
 
 
-def _still_errors(manifest: Manifest) -> tuple[tuple[float, float], ...]:
-    base_db = manifest.base_psnr_db
+def _errors(psnr_db: Sequence[tuple[int, float]], base_db: float | None) -> tuple[tuple[float, float], ...]:
     if base_db is None:
         return ()
-    return tuple((float(frames), 10.0 ** ((base_db - psnr_db) / 10.0)) for frames, psnr_db in manifest.still_psnr_db)
+    return tuple((float(frames), 10.0 ** ((base_db - each_db) / 10.0)) for frames, each_db in psnr_db)

@@ -258,7 +258,7 @@ class TilePlanner:
             tiles=tiles,
             lod_gains_db=self._library.manifest.lod_gains_db,
             still_errors=self._library.still_errors,
-            outdated_error=self._library.outdated_error,
+            outdated_errors=self._library.outdated_errors,
             message_overhead_bytes=MESSAGE_OVERHEAD_BYTES,
             layered=self._tiles.layered,
             waiting_us=budget.waiting_us(now_us),

@@ -187,7 +187,7 @@ class TileSender:
         if tile.kind == TileKind.MOTION:
             return self.age.motion_frames(frame, tile.frame, tile.tile, self.inventory)
         if tile.kind == TileKind.UPDATE:
-            return float(max(frame - tile.frame, 1))
+            return self.age.update_frames(frame, tile.frame, tile.tile)
         return 1.0 if keyframe else self.age.frames(frame, tile.frame, tile.tile)
 
     def settled(self, message: TileLayers, *, delivered: bool) -> None:

@@ -16,13 +16,17 @@ from cags_common.tiles.kinds import TileKind
 from cags_server.scene.library import SceneLibrary
 from cags_server.visibility.inventory import ClientInventory
 
+NOTHING = np.iinfo(np.int32).max
+"""In place of a media frame: nothing is lacked."""
+
 
 @dataclass(eq=False)
 class _Versions:
-    """Of a group of frames: the number of the tile that brings each splat's looks, -1 for none."""
+    """Of a group of frames: the number of the tile that brings each splat's looks, -1 for none; and lacking updates."""
 
     arrived: NDArray[np.int32]  # [capacity]
     sent: NDArray[np.int32]  # [capacity] those on their way, too
+    lacked: NDArray[np.int32]  # [capacity] media frame of the first update that is lacked; [0] without updates
     number: int = 0  # that of the newest change to ``sent``
 
 
@@ -75,19 +79,28 @@ class VersionAge:
         return -1 if versions is None else versions.number
 
     def sent(self, frame: int, tile: int) -> None:
-        """The looks of a tile's splats were queued; other kinds of tiles change no version."""
-        if self._is_looks(frame, tile) and (versions := self._of(frame)) is not None:
-            ids = self._library.tile_ids(frame, tile)
+        """The looks or an update of a tile's splats were queued; motion changes nothing here."""
+        kind = self._kind(frame, tile)
+        versions = None if kind == TileKind.MOTION else self._of(frame)
+        if versions is None:
+            return
+        ids = self._library.tile_ids(frame, tile)
+        if len(versions.lacked):
+            versions.lacked[ids] = NOTHING
+        if kind == TileKind.LOOKS:
             versions.sent[ids] = np.maximum(versions.sent[ids], self._number(frame, tile))
             self._changed(versions)
 
     def settled(self, frame: int, tile: int, *, delivered: bool) -> None:
         """They have arrived, or will not arrive."""
-        versions = self._groups.get(self._library.manifest.gof_of(frame))
-        if versions is None or not self._is_looks(frame, tile):
+        versions, kind = self._groups.get(self._library.manifest.gof_of(frame)), self._kind(frame, tile)
+        if versions is None or kind == TileKind.MOTION:
             return
         ids, number, sent = self._library.tile_ids(frame, tile), self._number(frame, tile), versions.sent
-        if delivered:
+        if kind == TileKind.UPDATE:
+            if not delivered:
+                versions.lacked[ids] = np.minimum(versions.lacked[ids], frame)
+        elif delivered:
             versions.arrived[ids] = np.maximum(versions.arrived[ids], number)
         else:
             sent[ids] = np.where(sent[ids] == number, versions.arrived[ids], sent[ids])
@@ -98,6 +111,8 @@ class VersionAge:
         manifest = self._library.manifest
         versions = self._groups.get(manifest.gof_of(frame)) if frame < manifest.frames else None
         if versions is not None and self._library.tile_map(frame).has((frame, tile)):
+            if self._kind(frame, tile) == TileKind.UPDATE:
+                self.settled(frame, tile, delivered=False)
             number = self._number(frame, tile)
             for version in (versions.arrived, versions.sent):
                 version[version == number] = -1
@@ -141,11 +156,23 @@ class VersionAge:
             since = int(tiles.frames[chunk])
         return float(max(at - since, 1))
 
+    def update_frames(self, at: int, frame: int, tile: int) -> float:
+        """Frames for which the splats of an update that was not sent will have lacked updates when frame ``at`` is
+        displayed, that of the update included, in the mean; 1 at least.
+
+        A splat lacks them from the first on that was asked for here since anything newer of it was sent.
+        """
+        ids, versions = self._library.tile_ids(frame, tile), self._of(frame)
+        if not len(ids) or versions is None:
+            return float(max(at + 1 - frame, 1))
+        lacked = versions.lacked[ids] = np.minimum(versions.lacked[ids], frame)
+        return max(at + 1 - float(lacked.mean()), 1.0)
+
     def _number(self, frame: int, tile: int) -> int:
         return self._library.tile_map(frame).number(frame, tile)
 
-    def _is_looks(self, frame: int, tile: int) -> bool:
-        return self._library.entry(frame).tiles[tile].kind == TileKind.LOOKS
+    def _kind(self, frame: int, tile: int) -> TileKind:
+        return self._library.entry(frame).tiles[tile].kind
 
     def _of(self, frame: int) -> _Versions | None:
         """Those of the group of ``frame``, which begins if it is entered for the first time; None if it is past."""
@@ -159,7 +186,8 @@ class VersionAge:
             for key in self._held_of(group):
                 ids = self._library.tile_ids(*key)
                 arrived[ids] = np.maximum(arrived[ids], self._number(*key))
-            self._groups[group] = _Versions(arrived, arrived.copy())
+            updated = manifest.capacity[group] if self._library.tile_map(frame).has_updates else 0
+            self._groups[group] = _Versions(arrived, arrived.copy(), np.full(updated, NOTHING, np.int32))
             self._changed(self._groups[group])
         return self._groups.get(group)
 
@@ -170,4 +198,4 @@ class VersionAge:
     def _held_of(self, gof: int) -> list[tuple[int, int]]:
         frames = self._library.manifest.gof_frames(gof)
         there = [key for key in self._claimed if key[0] in frames and self._library.tile_map(key[0]).has(key)]
-        return [key for key in there if self._is_looks(*key)]
+        return [key for key in there if self._kind(*key) == TileKind.LOOKS]

@@ -240,22 +240,23 @@ def test_a_scene_that_no_bundle_can_hold_leaves_the_bundle_before_in_its_place(t
         assert len(BundlePlayer(reader).frame(0).ids) == SPLATS
 
 
-def test_how_wrong_old_attributes_are_is_measured_against_the_lowest_level_of_new_ones(tmp_path: Path) -> None:
-    """Twice the change is four times the squared error, and the levels of the new colours stay about what they are."""
+def test_how_wrong_old_attributes_are_is_measured_by_how_long_updates_are_lacked(tmp_path: Path) -> None:
+    """Colours that go on changing are the more wrong the longer; those that change once stay as wrong as they are."""
 
-    def coloured(by: float) -> Callable[[Splats, int], Splats]:
-        return lambda first, k: with_changes(first, sh0=first.sh0 + np.float32(by if k >= 9 else 0.0))
+    def coloured(of: Callable[[int], float]) -> Callable[[Splats, int], Splats]:
+        return lambda first, k: with_changes(first, sh0=first.sh0 + np.float32(of(k)))
 
     found = []
-    for by in (1.0, 2.0):
-        encode(clip(coloured(by)), FAST, str(tmp_path / f"{by}"))
-        with BundleReader.open(str(tmp_path / f"{by}")) as reader:
-            assert reader.manifest.outdated_db is not None
-            found.append(reader.manifest.outdated_db)
-    assert 3.0 < found[1] - found[0] < 9.0
-    encode(clip(lambda first, _: first), FAST, str(tmp_path / "still"))
+    for number, of in enumerate((lambda k: 0.2 * k, lambda k: 1.0 if k >= 9 else 0.0)):
+        encode(clip(coloured(of)), EncodeSettings(train_splats=4800), str(tmp_path / f"{number}"))
+        with BundleReader.open(str(tmp_path / f"{number}")) as reader:
+            found.append(dict(reader.manifest.outdated_psnr_db))
+    more, once = found
+    assert more[1] - more[4] > 6.0 and more[4] > more[8], "four times as far off"
+    assert max(once.values()) - min(once.values()) < 1.0
+    encode(clip(lambda first, _: first), EncodeSettings(train_splats=4800), str(tmp_path / "still"))
     with BundleReader.open(str(tmp_path / "still")) as reader:
-        assert reader.manifest.outdated_db is None
+        assert reader.manifest.outdated_psnr_db == ()
 
 
 def test_ids_of_the_source_that_swap_are_two_splats_that_cross(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import os
 import stat
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -93,3 +94,10 @@ def test_a_file_is_no_folder_to_write_in(tmp_path):
     with pytest.raises(OutputError, match=r"report: cannot be written \(it is no folder\); choose another place"):
         writable_folder(tmp_path / "report")
     assert writable_folder(tmp_path / "new" / "deeper").is_dir()
+
+
+def test_programs_that_check_the_same_folder_at_once_are_all_told_that_it_is_writable(tmp_path: Path) -> None:
+    """One took the other's probe away: two encoders of one cache, and one said that the folder did not exist."""
+    with ThreadPoolExecutor(8) as pool:
+        assert len(list(pool.map(writable_folder, [tmp_path] * 400))) == 400
+    assert list(tmp_path.iterdir()) == []

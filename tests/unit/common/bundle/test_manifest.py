@@ -24,7 +24,7 @@ MANIFEST = Manifest(
     lod_gains_db=(3.5, -0.1),
     base_psnr_db=24.5,
     still_psnr_db=((1, 41.0), (4, 33.25)),
-    outdated_db=-3.5,
+    outdated_psnr_db=((1, 38.0), (2, 30.5)),
     codec="svq",
     quantiser="paper-66",
     tracks=TrackStatistics(5, 20, 0.8, 2.5, (8, 4), ChangedShares(0.5, 0.0, 0.0, 0.9, 0.1, 0.0)),
@@ -44,8 +44,8 @@ def test_a_manifest_comes_back_and_its_public_part_says_nothing_of_files() -> No
 
 
 def test_what_is_optional_may_be_absent() -> None:
-    bare = replace(MANIFEST, tracks=None, base_psnr_db=None, still_psnr_db=(), outdated_db=None)
-    names = (b"tracks", b"base_psnr_db", b"still_psnr_db", b"outdated_db")
+    bare = replace(MANIFEST, tracks=None, base_psnr_db=None, still_psnr_db=(), outdated_psnr_db=())
+    names = (b"tracks", b"base_psnr_db", b"still_psnr_db", b"outdated_psnr_db")
     assert not any(name in bare.to_json() for name in names)
     assert Manifest.from_json(bare.to_json()) == bare
 
@@ -87,7 +87,9 @@ def test_unknown_fields_are_left_alone() -> None:
         ({"lod_order": [["scale", 1]] * 300}, "at most"),
         ({"lod_gains_db": [1.0]}, "lod_gains_db"),
         ({"base_psnr_db": 1e9}, "base_psnr_db"),
-        ({"outdated_db": "much"}, "outdated_db"),
+        ({"outdated_psnr_db": 3.5}, "outdated_psnr_db"),
+        ({"outdated_psnr_db": [[2, 30.0], [2, 29.0]]}, "outdated_psnr_db must rise"),
+        ({"outdated_psnr_db": [[0, 30.0]]}, "outdated_psnr_db"),
         ({"still_psnr_db": [[4, 30.0], [1, 40.0]]}, "still_psnr_db"),
         ({"still_psnr_db": [[0, 30.0]]}, "still_psnr_db"),
         ({"still_psnr_db": [[1.5, 30.0]]}, "still_psnr_db"),

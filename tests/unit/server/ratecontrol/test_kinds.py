@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from cags_common.tiles.kinds import TileKind
 from cags_server.ratecontrol import Decision, Observation, TileView, create_rate_policy
 from cags_server.ratecontrol.base import UNBOUNDED_BYTES
-from cags_server.ratecontrol.utility import left_by, stood_still
+from cags_server.ratecontrol.utility import grown, left_by
 
 FRAME = 20
 LOOKS = TileView(0, 0, 1, 50, (400, 60, 60, 60), weight=50.0, frames_left=30.0)
@@ -63,16 +63,17 @@ def updates(observation: Observation) -> list[tuple[int, int]]:
 def test_an_update_comes_at_once_as_good_as_what_is_around(around: int, together: int) -> None:
     """Once colours stood at their lowest level for some frames, at 39 dB, in a picture of 50."""
     update, looks = replace(UPDATE, lod_bytes=(50, 0, 40, 30)), replace(LOOKS, depth=around, weight=0.01)
-    seen = Observation(FRAME, 130, (update, looks), (9.0, 9.0, 9.0), 10, outdated_error=4.0)
+    seen = Observation(FRAME, 130, (update, looks), (9.0, 9.0, 9.0), 10, outdated_errors=((1.0, 4.0),))
     assert updates(seen) == [(together, 4)]
     assert updates(replace(seen, timely_bytes=sum(update.lod_bytes[:together]) + 9)) == [], "it would come late"
 
 
 def test_an_update_larger_than_any_budget_comes_as_far_as_it_is_better_than_what_is_old() -> None:
-    update, looks = replace(UPDATE, lod_bytes=(50, 0, 40, 30)), replace(LOOKS, depth=4, weight=0.01)
+    update = replace(UPDATE, lod_bytes=(50, 0, 40, 30), frames_left=1.0)
+    looks = replace(LOOKS, depth=4, weight=0.01)
     for outdated, least, size in ((4.0, 1, 60), (0.5, 3, 100)):
         for budget in range(0, 130, 5):
-            seen = Observation(FRAME, budget, (update, looks), (9.0, 9.0, 9.0), 10, outdated_error=outdated)
+            seen = Observation(FRAME, budget, (update, looks), (9.0, 9.0, 9.0), 10, outdated_errors=((1.0, outdated),))
             sent = updates(seen)
             assert len(sent) == (budget >= size)
             assert all(together == least for together, _ in sent)
@@ -92,18 +93,18 @@ POINTS = st.lists(st.floats(0, 1e3), min_size=2, max_size=5).map(
 
 
 @given(POINTS, st.floats(0, 1e4), st.floats(0, 1e4))
-def test_standing_still_for_longer_is_never_better_and_never_worse_than_a_hole(
+def test_being_out_of_date_for_longer_is_never_better_and_never_worse_than_a_hole(
     points: tuple[tuple[float, float], ...], some: float, more: float
 ) -> None:
-    less, later = (stood_still(frames, points) for frames in sorted((some, more)))
+    less, later = (grown(frames, points) for frames in sorted((some, more)))
     assert 0 <= less <= later + 1e-9 and later <= 100.0
-    assert all(stood_still(frames, points) == pytest.approx(min(error, 100.0)) for frames, error in points)
+    assert all(grown(frames, points) == pytest.approx(min(error, 100.0)) for frames, error in points)
 
 
 def test_the_error_of_standing_still_stays_where_what_moves_comes_back() -> None:
     there_and_back = ((1.0, 0.5), (4.0, 2.0), (16.0, 0.25))
-    assert stood_still(16, there_and_back) == stood_still(40, there_and_back) == 0.25
-    assert stood_still(10, there_and_back) == pytest.approx(1.125)
+    assert grown(16, there_and_back) == grown(40, there_and_back) == 0.25
+    assert grown(10, there_and_back) == pytest.approx(1.125)
 
 
 def test_empty_levels_of_motion_say_nothing_of_those_before() -> None:
@@ -129,6 +130,39 @@ def test_motion_of_looks_that_nobody_plans_stays() -> None:
 def test_the_longer_something_stands_still_the_sooner_it_is_moved() -> None:
     other = replace(CHUNK, tile=5, stale_frames=9.0)
     assert levels(decide("utility", 115, CHUNK, other)) == {(18, 5): (0, 1)}
+
+
+def test_the_longer_updates_are_lacked_the_sooner_one_comes() -> None:
+    """Once runs of eleven frames went without any, since one that lacked them all weighed as much as one of the first.
+
+    Of a body that shrinks nothing was left by then (13 dB), though the link carried more bytes than they have.
+    """
+    longer = replace(UPDATE, tile=5, stale_frames=4.0)
+    assert levels(decide("utility", 60, UPDATE, longer)) == {(19, 5): (0, 1)}
+    measured = ((1.0, 0.01), (2.0, 0.02), (4.0, 9.0))
+    for lacked, first in ((1.0, (18, 1)), (5.0, (19, 2))):
+        update = replace(UPDATE, weight=50.0, frames_left=2.0, stale_frames=lacked)
+        seen = Observation(
+            FRAME, 115, (CHUNK, update), (), 10, still_errors=((1.0, 5.0), (16.0, 15.0)), outdated_errors=measured
+        )
+        sent = create_rate_policy("utility").decide(seen).upgrades[0]
+        assert (sent.frame, sent.tile) == first
+
+
+def test_over_a_link_that_carries_a_part_of_all_updates_every_splat_gets_its_turn() -> None:
+    """Where an update weighed the same however long none had come, the first tiles won in every frame."""
+    lacked, longest = dict.fromkeys(range(6), 1.0), 0.0
+    for frame in range(FRAME, FRAME + 30):
+        tiles = tuple(
+            replace(UPDATE, frame=frame, tile=tile, frames_left=1.0, stale_frames=since)
+            for tile, since in lacked.items()
+        )
+        seen = Observation(frame, 130, tiles, (), 10, outdated_errors=((1.0, 0.5), (4.0, 9.0), (16.0, 40.0)))
+        sent = {upgrade.tile for upgrade in create_rate_policy("utility").decide(seen).upgrades}
+        assert sent
+        lacked = {tile: 1.0 if tile in sent else since + 1 for tile, since in lacked.items()}
+        longest = max(longest, *lacked.values())
+    assert longest <= 4, "three frames carry all six"
 
 
 def test_chunks_of_later_frames_come_after_those_of_now_and_before_idle() -> None:

@@ -7,7 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cags_common.tiles.kinds import TileKind
+from cags_server.scene.library import SceneLibrary
 from cags_server.visibility.age import VersionAge
+from support.moving_bundle import GROUP as MOVING_FRAMES
+from support.moving_bundle import moving_library
 from support.server_scene import library
 
 GROUP = range(6)
@@ -95,6 +99,62 @@ def test_it_never_exceeds_the_time_since_the_group_began(steps: list[tuple[tuple
         ages = np.array([age.frames(5, *each) for each in TILES])
         assert (ages >= 1.0).all() and (ages <= 6.0).all()
         assert what != "sent" or age.frames(5, *key) <= max(5 - key[0], 1)
+
+
+@pytest.fixture(scope="module")
+def changing(tmp_path_factory: pytest.TempPathFactory) -> SceneLibrary:
+    """A clip with updates, the first of which is followed by another one of some of its splats."""
+    return moving_library(str(tmp_path_factory.mktemp("bundles") / "moving"), 1)
+
+
+def updates_of(served: SceneLibrary) -> list[tuple[int, int]]:
+    """(media frame, tile) of the updates of the first group."""
+    tiles = [(frame, tile) for frame in range(MOVING_FRAMES) for tile in served.entry(frame).tiles]
+    return [(frame, tile.tile) for frame, tile in tiles if tile.kind == TileKind.UPDATE]
+
+
+def of_one_splat(served: SceneLibrary) -> list[tuple[int, int]]:
+    """Two or more updates of one splat, in order."""
+    every = updates_of(served)
+    ids = np.concatenate([served.tile_ids(*key) for key in every])
+    most = int(np.bincount(ids).argmax())
+    return [key for key in every if most in served.tile_ids(*key)]
+
+
+def test_updates_are_lacked_from_the_first_on_that_did_not_come(changing: SceneLibrary) -> None:
+    age, (first, *_, last) = VersionAge(changing), of_one_splat(changing)
+    ids, again = changing.tile_ids(*first), changing.tile_ids(*last)
+    assert age.update_frames(first[0], *first) == 1.0
+    assert age.update_frames(first[0] + 4, *first) == 5.0
+    both = float(np.isin(again, ids).mean())
+    assert age.update_frames(last[0], *last) == pytest.approx(1.0 + both * (last[0] - first[0]))
+    age.sent(*last)
+    assert age.update_frames(last[0], *last) == 1.0
+
+
+@pytest.mark.parametrize("how", ["dropped", "evicted"])
+def test_an_update_that_was_lost_is_lacked_again(changing: SceneLibrary, how: str) -> None:
+    age, (first, *_, last) = VersionAge(changing), of_one_splat(changing)
+    age.sent(*first)
+    if how == "dropped":
+        age.settled(*first, delivered=False)
+    else:
+        age.settled(*first, delivered=True)
+        age.lost(*first)
+    both = float(np.isin(changing.tile_ids(*last), changing.tile_ids(*first)).mean())
+    assert age.update_frames(last[0], *last) == pytest.approx(1.0 + both * (last[0] - first[0]))
+
+
+@given(st.data())
+def test_of_what_came_nothing_is_lacked_and_the_rest_no_longer_than_the_group(
+    changing: SceneLibrary, data: st.DataObject
+) -> None:
+    age, every = VersionAge(changing), updates_of(changing)
+    for key in data.draw(st.lists(st.sampled_from(every), max_size=12)):
+        if data.draw(st.booleans()):
+            age.sent(*key)
+            assert age.update_frames(key[0], *key) == 1.0
+        assert 1.0 <= age.update_frames(MOVING_FRAMES - 1, *key) <= MOVING_FRAMES
 
 
 @pytest.mark.parametrize("whole", [True, False])
