@@ -53,10 +53,10 @@ class Outdated:
     rasteriser: Rasteriser
     frames: int
     """Of the clip."""
-    _lacked: _Lacked | None = None
-    _next: int = 0
+    _lacked: _Lacked | None = field(default=None, init=False)
+    _next: int = field(default=0, init=False)
     """The first frame whose updates may be looked at next."""
-    _sums: dict[int, _Sum] = field(default_factory=dict)
+    _sums: dict[int, _Sum] = field(default_factory=dict, init=False)
 
     def restart(self) -> None:
         """The decoder forgets its splats."""

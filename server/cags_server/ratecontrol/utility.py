@@ -58,8 +58,8 @@ NEAR = 2.0
 """Looks are about as good as others if they leave at most so many times the squared error."""
 
 KNOWN_HULLS = 512
-"""Number of tiles whose runs are cached (1.5 kB each); most tiles do not change between frames, and what changes is not
-asked for again.
+"""Number of tiles whose runs are cached (1.5 kB each); most do not change between frames. Motion and updates that are
+lacked do: they weigh more in every frame.
 """
 
 
@@ -208,7 +208,8 @@ def _runs(observation: Observation, tile: TileView, errors: Errors) -> list[_Run
     held = (absent(tile, errors), *levels)[tile.depth]
     layered, overhead = observation.layered, observation.message_overhead_bytes
     left = levels[tile.depth :]
-    hull = _hull(tile.lod_bytes, tile.depth, held, left, overhead=overhead, layered=layered)
+    hull_of = _known_hull if tile.depth or tile.kind == TileKind.LOOKS else _hull
+    hull = hull_of(tile.lod_bytes, tile.depth, held, left, overhead=overhead, layered=layered)
     together = _together(observation, tile, errors, (held, *left)) if layered and not tile.depth else 0
     return [_Run(tile, to_lod, slope * value, together) for to_lod, slope in hull]
 
@@ -234,7 +235,6 @@ def _together(observation: Observation, tile: TileView, errors: Errors, levels: 
     return together if together > 1 else 0
 
 
-@lru_cache(KNOWN_HULLS)
 def _hull(
     sizes: tuple[int, ...], depth: int, held: float, left: tuple[float, ...], *, overhead: int, layered: bool
 ) -> tuple[tuple[int, float], ...]:
@@ -253,3 +253,6 @@ def _hull(
             removed, size = removed + more, size + bytes_before
         runs.append((to_lod, removed, size))
     return tuple((to_lod, removed / size) for to_lod, removed, size in runs)
+
+
+_known_hull = lru_cache(KNOWN_HULLS)(_hull)
