@@ -8,7 +8,8 @@ thirtieth of the same detail on splats that stay for a second. A base layer is w
 splats in its place, as in a key frame.
 
 Motion and updates have the same unit of value. Splats without their motion stand still, which is the worse the longer
-it lasts; how fast is measured by the encoder (``still_psnr_db``), since clips differ by a factor of ten thousand.
+it lasts; how fast is measured by the encoder (``still_psnr_db``), since clips differ by a factor of ten thousand. That
+is an error of the whole picture: which tiles it is in, their bytes of motion tell.
 Splats without their updates show old attributes, which gets worse in the same way (``outdated_psnr_db``): one update
 less is hardly seen, and of five in a row nothing is left of some pictures. The last level of motion that says anything
 leaves as much error as the best looks do, each level before it more. A chunk that begins later is worth less now, so
@@ -116,6 +117,8 @@ class Errors:
     """See :attr:`~cags_server.ratecontrol.base.Observation.still_errors`."""
     outdated: tuple[tuple[float, float], ...] = ()
     """See :attr:`~cags_server.ratecontrol.base.Observation.outdated_errors`."""
+    motion_density: float = 0.0
+    """See :attr:`~cags_server.ratecontrol.base.Observation.motion_density`."""
 
 
 def errors_of(observation: Observation) -> Errors:
@@ -124,7 +127,7 @@ def errors_of(observation: Observation) -> Errors:
     looks = [tile for tile in observation.tiles if tile.kind == TileKind.LOOKS and tile.depth]
     weight = sum(tile.weight for tile in looks)
     held = sum(tile.weight * lods[tile.depth - 1] for tile in looks) / weight if weight else 1.0
-    return Errors(lods, held, observation.still_errors, observation.outdated_errors)
+    return Errors(lods, held, observation.still_errors, observation.outdated_errors, observation.motion_density)
 
 
 def _distortions(observation: Observation) -> tuple[float, ...]:
@@ -143,23 +146,25 @@ def _gain_db(measured: tuple[float, ...], lod: int) -> float:
     return float(FIRST_GAIN_DB * GAIN_DECAY ** (lod - 1))
 
 
-def _seen_for(tile: TileView) -> float:
-    """Frames for which what a tile brings will be seen, one at least.
-
-    Updates that were lacked for some frames over this link will be lacked for as many again after this one.
-    """
-    left = max(tile.frames_left, 1.0)
-    return left + tile.stale_frames if tile.kind == TileKind.UPDATE and not tile.depth else left
+def _frames_left(tile: TileView) -> float:
+    """Lifetime of what the tile brings, one frame at least."""
+    return max(tile.frames_left, 1.0)
 
 
 def absent(tile: TileView, errors: Errors) -> float:
     """Squared error without the tile, relative to that of its base layer, as a mean over its remaining frames."""
     if tile.kind == TileKind.UPDATE:
-        frames = tile.stale_frames + (_seen_for(tile) - 1) / 2
+        frames = tile.stale_frames + (_frames_left(tile) - 1) / 2
         return min(errors.held + grown(frames, errors.outdated or ((1.0, OUTDATED),)), _ratio(HOLE_DB))
     if tile.kind == TileKind.MOTION:  # the error of a missing chunk grows for a long time
-        return _stood_still(tile.stale_frames + tile.frames_left / 2, errors)
+        moving = _share_of_motion(tile, errors.motion_density)
+        return min(moving * _stood_still(tile.stale_frames + tile.frames_left / 2, errors), _ratio(HOLE_DB))
     return tile.replaces * _stood_still(tile.stale_frames, errors) + (1.0 - tile.replaces) * _ratio(HOLE_DB)
+
+
+def _share_of_motion(tile: TileView, density: float) -> float:
+    """How much more of what moves is in ``tile`` than its share of the picture: its bytes of motion tell."""
+    return tile.motion_bytes / (tile.weight * density) if tile.motion_bytes and tile.weight * density else 1.0
 
 
 def _stood_still(frames: float, errors: Errors) -> float:
@@ -203,7 +208,7 @@ def left_by(tile: TileView, distortions: tuple[float, ...]) -> tuple[float, ...]
 def _runs(observation: Observation, tile: TileView, errors: Errors) -> list[_Run]:
     """The tile's missing layers as runs of falling slope."""
     early = max(tile.frame - observation.frame, 0)
-    value = tile.weight * _seen_for(tile) * max(1.0 - early / AHEAD_FRAMES, 0.0)
+    value = tile.weight * _frames_left(tile) * max(1.0 - early / AHEAD_FRAMES, 0.0)
     levels = left_by(tile, errors.lods)
     held = (absent(tile, errors), *levels)[tile.depth]
     layered, overhead = observation.layered, observation.message_overhead_bytes

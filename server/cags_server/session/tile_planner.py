@@ -15,7 +15,7 @@ from cags_server.link import LinkState
 from cags_server.link.byte_budget import MESSAGE_OVERHEAD_BYTES
 from cags_server.link.pace import MARGIN_US
 from cags_server.ratecontrol import Decision, Observation, create_rate_policy
-from cags_server.ratecontrol.base import TileView, mean_level
+from cags_server.ratecontrol.base import TileView, mean_level, motion_density
 from cags_server.ratecontrol.outlook import Supply, lacking_bytes, supply
 from cags_server.records import Ahead, FrameRecord
 from cags_server.reference.job import FramePlan
@@ -258,6 +258,7 @@ class TilePlanner:
             tiles=tiles,
             lod_gains_db=self._library.manifest.lod_gains_db,
             still_errors=self._library.still_errors,
+            motion_density=motion_density(views),
             outdated_errors=self._library.outdated_errors,
             message_overhead_bytes=MESSAGE_OVERHEAD_BYTES,
             layered=self._tiles.layered,

@@ -160,7 +160,8 @@ class TileSender:
     def view(self, tile: VisibleTile, frame: int, lead_frames: float) -> TileView:
         """A tile that is visible at ``frame``, planned ``lead_frames`` before its display, as rate policies see it."""
         entry = self._library.entry(tile.frame)
-        sizes = entry.tiles[tile.tile].lod_bytes
+        held = entry.tiles[tile.tile]
+        sizes = held.lod_bytes
         depth = self.inventory.depth(tile.frame, tile.tile)
         above = self.inventory.mask(tile.frame, tile.tile) >> depth  # what is held beyond a gap
         if above:
@@ -179,6 +180,7 @@ class TileSender:
             replaces=0.0 if entry.keyframe or depth else self.age.share_shown(tile.frame, tile.tile),
             stale_frames=1.0 if depth else self._stale_frames(tile, frame, keyframe=entry.keyframe),
             kind=tile.kind,
+            motion_bytes=held.lod_bytes[0] / max(held.span, 1) if tile.kind == TileKind.MOTION else 0.0,
             after=tile.looks if tile.looks and not self.inventory.depth(*tile.looks) else None,
         )
 

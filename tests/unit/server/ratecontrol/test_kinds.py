@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from cags_common.tiles.kinds import TileKind
 from cags_server.ratecontrol import Decision, Observation, TileView, create_rate_policy
-from cags_server.ratecontrol.base import UNBOUNDED_BYTES
-from cags_server.ratecontrol.utility import grown, left_by
+from cags_server.ratecontrol.base import UNBOUNDED_BYTES, motion_density
+from cags_server.ratecontrol.utility import absent, errors_of, grown, left_by
 
 FRAME = 20
 LOOKS = TileView(0, 0, 1, 50, (400, 60, 60, 60), weight=50.0, frames_left=30.0)
@@ -140,13 +140,31 @@ def test_the_longer_updates_are_lacked_the_sooner_one_comes() -> None:
     longer = replace(UPDATE, tile=5, stale_frames=4.0)
     assert levels(decide("utility", 60, UPDATE, longer)) == {(19, 5): (0, 1)}
     measured = ((1.0, 0.01), (2.0, 0.02), (4.0, 9.0))
-    for lacked, first in ((1.0, (18, 1)), (5.0, (19, 2))):
+    for lacked, first in ((1.0, (18, 1)), (9.0, (19, 2))):
         update = replace(UPDATE, weight=50.0, frames_left=2.0, stale_frames=lacked)
         seen = Observation(
             FRAME, 115, (CHUNK, update), (), 10, still_errors=((1.0, 5.0), (16.0, 15.0)), outdated_errors=measured
         )
         sent = create_rate_policy("utility").decide(seen).upgrades[0]
         assert (sent.frame, sent.tile) == first
+
+
+def test_the_tile_in_which_more_moves_is_moved_first() -> None:
+    """A ball that rolls through one of four tiles of a room stood still, since each had a quarter of its motion."""
+    rolls, rests = (replace(CHUNK, tile=tile, motion_bytes=moved) for tile, moved in ((7, 40.0), (1, 4.0)))
+    density = motion_density((rolls, rests, LOOKS))
+    assert density == pytest.approx(44.0 / 100.0)
+    seen = Observation(FRAME, 115, (rests, rolls), (), 10, still_errors=((1.0, 1.5), (16.0, 3.0)))
+    assert levels(create_rate_policy("utility").decide(seen)) == {(18, 1): (0, 1)}, "nothing tells"
+    seen = replace(seen, motion_density=density)
+    assert levels(create_rate_policy("utility").decide(seen)) == {(18, 7): (0, 1)}
+    errors = errors_of(seen)
+    whole = sum(tile.weight * absent(tile, errors) for tile in (rolls, rests)) / 100.0
+    assert whole == pytest.approx(absent(CHUNK, replace(errors, motion_density=0.0))), "the picture's error stays"
+
+
+def test_without_motion_there_is_no_density() -> None:
+    assert motion_density(()) == motion_density((LOOKS, UPDATE)) == 0.0
 
 
 def test_over_a_link_that_carries_a_part_of_all_updates_every_splat_gets_its_turn() -> None:
