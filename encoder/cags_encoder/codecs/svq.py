@@ -145,12 +145,6 @@ class SvqCodec:
         """Look up all layers."""
         return join_attributes(coded.means, self.quantiser.decode(coded.codes))
 
-    def coarse(self, coded: SvqSplats) -> Splats:
-        """Look up base layers only."""
-        books = self.quantiser.books
-        base = {name: books[name].lookup(books[name].layer(codes, 0), 1) for name, codes in coded.codes.items()}
-        return join_attributes(coded.means, base)
-
     def shown(self, coded: SvqSplats) -> Splats:
         """Look up all layers of one tile and round its positions."""
         return self.decode(replace(coded, means=self.means_at(coded)))

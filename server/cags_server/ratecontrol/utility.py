@@ -9,11 +9,11 @@ splats in its place, as in a key frame.
 
 Motion and updates have the same unit of value. Splats without their motion stand still, which is the worse the longer
 it lasts; how fast is measured by the encoder (``still_psnr_db``), since clips differ by a factor of ten thousand. That
-is an error of the whole picture: which tiles it is in, their bytes of motion tell.
-Splats without their updates show old attributes, which gets worse in the same way (``outdated_psnr_db``): one update
-less is hardly seen, and of five in a row nothing is left of some pictures. The last level of motion that says anything
-leaves as much error as the best looks do, each level before it more. A chunk that begins later is worth less now, so
-chunks that begin together are sent one by one while the link has room.
+is an error of the whole picture: which tiles it is in, their bytes of motion tell. Splats without their updates show
+old attributes, which gets worse in the same way (``outdated_psnr_db``): one update less is hardly seen, and of ten in a
+row little is left of some pictures. The last level of motion that says anything leaves as much error as the best looks
+do, each level before it more. A chunk that begins later is worth less now, so chunks that begin together are sent one
+by one while the link has room.
 
 A layer of small gain may precede one of large gain. A tile's layers are therefore offered in runs along the convex hull
 of removed distortion over bytes, steepest first, which makes the greedy order optimal up to the last run.

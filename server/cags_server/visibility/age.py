@@ -93,8 +93,8 @@ class VersionAge:
 
     def settled(self, frame: int, tile: int, *, delivered: bool) -> None:
         """They have arrived, or will not arrive."""
-        versions, kind = self._groups.get(self._library.manifest.gof_of(frame)), self._kind(frame, tile)
-        if versions is None or kind == TileKind.MOTION:
+        versions = self._groups.get(self._library.manifest.gof_of(frame))
+        if versions is None or (kind := self._kind(frame, tile)) == TileKind.MOTION:
             return
         ids, number, sent = self._library.tile_ids(frame, tile), self._number(frame, tile), versions.sent
         if kind == TileKind.UPDATE:
