@@ -1,8 +1,8 @@
-"""What a picture loses where updates are lacked for some frames, measured by drawing the decoder's copy.
+"""How much worse a picture gets while updates are missing, measured by rendering the decoder's copy with old values.
 
-Rate control weighs updates against motion and detail by it. It does not follow from how much single splats change: what
-is quantised errs at random, and neighbours make up for each other, but attributes that are out of date err alike. Where
-all splats of a surface shrink, it opens.
+Rate control weighs updates against motion and detail by it. It cannot be estimated from the changes of single splats:
+quantisation errors are random and neighbours compensate for each other, but outdated attributes are all wrong in the
+same direction. Where all splats of a surface shrink, holes open.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from cags_common.splats import Ids, Splats
 from cags_encoder.tracks.rows import SplatTable
 
 LAGS = (1, 2, 4, 8, 16)
-"""Frames for which updates are lacked, the first of them included."""
+"""Numbers of frames for which updates are missing, including the first."""
 
 LOOKS = 3
-"""Parts of a clip, of each of which the first update is looked at."""
+"""Number of parts of a clip; the first update in each is examined."""
 
 _OPTIONS = RenderOptions(depth=DepthKind.NONE, contribution=True)
 
 
 @dataclass(frozen=True, eq=False)
 class _Lacked:
-    """Updates of one frame that a client lacks."""
+    """Updates of one frame, taken as missing."""
 
     frame: int
     ids: Ids  # [n]
@@ -47,7 +47,7 @@ class _Sum:
 
 @dataclass(eq=False)
 class Outdated:
-    """Looks at some frames of a clip from a few ``cameras``."""
+    """Measures it at a few frames of a clip, from a few ``cameras``."""
 
     cameras: Sequence[Camera]
     rasteriser: Rasteriser
@@ -63,7 +63,7 @@ class Outdated:
         self._lacked = None
 
     def wants(self, frame: int) -> bool:
-        """Whether the updates of ``frame`` are to be told (:meth:`lack`)."""
+        """Whether to call :meth:`lack` with the updates of ``frame``."""
         return self._lacked is None and frame >= self._next
 
     def lack(self, frame: int, ids: Ids, changed: Mapping[str, NDArray[np.bool_]], old: Splats) -> None:
@@ -72,7 +72,7 @@ class Outdated:
         self._next = frame + max(self.frames // LOOKS, LAGS[-1])
 
     def look(self, frame: int, held: SplatTable) -> None:
-        """Compare what is ``held`` at ``frame``, updates included, with what it is without those that are lacked."""
+        """Compare what is ``held`` at ``frame``, updates included, with the same without the missing ones."""
         lacked = self._lacked
         if lacked is None:
             return

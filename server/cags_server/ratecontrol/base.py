@@ -37,7 +37,7 @@ class TileView:
     kind: TileKind = TileKind.LOOKS
     """What it brings."""
     motion_bytes: float = 0.0
-    """Of motion, the bytes of its lowest level a frame; 0: unknown."""
+    """Of a chunk of motion: bytes of its lowest level per frame of its span; 0: unknown."""
     after: tuple[int, int] | None = None
     """Looks (media frame, tile) that the client lacks and without which it is worth nothing; None: it lacks none."""
 
@@ -53,7 +53,7 @@ class TileView:
 
 
 def motion_density(views: Sequence[TileView]) -> float:
-    """Bytes of motion a frame by weight, of all motion among ``views``; 0 without any."""
+    """Bytes of motion per frame and unit of weight, over all motion among ``views``; 0 without any."""
     motion = [view for view in views if view.kind == TileKind.MOTION]
     weight = sum(view.weight for view in motion)
     return sum(view.motion_bytes for view in motion) / weight if weight else 0.0
@@ -88,10 +88,10 @@ class Observation:
     """(frames, squared error relative to a base layer's) of splats that have stood still for so long, as measured, by
     rising frames; empty if unknown.
     """
-    motion_density: float = 0.0
-    """Bytes of motion (:attr:`TileView.motion_bytes`) by weight, of all that is in view; 0: unknown."""
     outdated_errors: tuple[tuple[float, float], ...] = ()
-    """The same of splats that have lacked updates for so long."""
+    """The same for splats that have missed updates for so long."""
+    motion_density: float = 0.0
+    """Bytes of motion (:attr:`TileView.motion_bytes`) per unit of weight, over all that is in view; 0: unknown."""
 
 
 @dataclass(frozen=True, slots=True)

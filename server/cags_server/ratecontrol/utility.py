@@ -9,9 +9,9 @@ splats in its place, as in a key frame.
 
 Motion and updates have the same unit of value. Splats without their motion stand still, which is the worse the longer
 it lasts; how fast is measured by the encoder (``still_psnr_db``), since clips differ by a factor of ten thousand. That
-is an error of the whole picture: which tiles it is in, their bytes of motion tell. Splats without their updates show
-old attributes, which gets worse in the same way (``outdated_psnr_db``): one update less is hardly seen, and of ten in a
-row little is left of some pictures. The last level of motion that says anything leaves as much error as the best looks
+is an error of the whole picture; it is divided among tiles by their bytes of motion. Splats without their updates show
+old attributes, which gets worse in the same way (``outdated_psnr_db``): a single missing update is hardly seen, ten in
+a row ruin some pictures. The last level of motion that says anything leaves as much error as the best looks
 do, each level before it more. A chunk that begins later is worth less now, so chunks that begin together are sent one
 by one while the link has room.
 
@@ -163,7 +163,7 @@ def absent(tile: TileView, errors: Errors) -> float:
 
 
 def _share_of_motion(tile: TileView, density: float) -> float:
-    """How much more of what moves is in ``tile`` than its share of the picture: its bytes of motion tell."""
+    """The motion in ``tile`` relative to its share of the picture, estimated from its bytes of motion."""
     return tile.motion_bytes / (tile.weight * density) if tile.motion_bytes and tile.weight * density else 1.0
 
 

@@ -42,7 +42,7 @@ class SceneLibrary:
         self.still_errors = _errors(reader.manifest.still_psnr_db, base_db)
         """(frames, squared error relative to the base layer's) if nothing moves for so long; empty if unknown."""
         self.outdated_errors = _errors(reader.manifest.outdated_psnr_db, base_db)
-        """The same of what updates replace, if they are lacked for so long."""
+        """The same if updates are missing for so long."""
         self._owners = Recent[tuple[int, int], Owners](OWNER_BYTES, least=OWNER_FRAMES)  # by (group, frame)
         self._stays = Recent[int, Stays](OWNER_BYTES)  # by frame
         self._tallies = Recent[int, Tally](TALLY_BYTES)  # by frame
