@@ -29,10 +29,13 @@ def score_pictures(
     truth = np.clip(truth_rgb, 0.0, 1.0)
     covered = covered_mask(truth_alpha)
     out: dict[str, float] = {"covered": float(covered.mean())}
+    scored: dict[int, tuple[float, float, float]] = {}  # what nothing restored is one picture
     for name, picture in (("distorted", distorted), ("aligned", aligned), ("restored", restored)):
-        if picture is not None:
-            out[f"psnr_{name}_db"], out[f"psnr_covered_{name}_db"] = psnr_also_in(picture, truth, covered)
-            out[f"ssim_{name}"] = ssim(picture, truth)
+        if picture is None:
+            continue
+        if id(picture) not in scored:
+            scored[id(picture)] = *psnr_also_in(picture, truth, covered), ssim(picture, truth)
+        out[f"psnr_{name}_db"], out[f"psnr_covered_{name}_db"], out[f"ssim_{name}"] = scored[id(picture)]
     return out
 
 
@@ -48,8 +51,10 @@ class FlickerScore:
         before, self._before = self._before, now
         if before is None or before[0] + 1 != now[0]:
             return {}
-        pictures = ("distorted", now[1], before[1]), ("restored", now[2], before[2])
-        return {f"flicker_{name}": flicker(new, old, truth_rgb, before[3]) for name, new, old in pictures}
+        distorted = flicker(now[1], before[1], truth_rgb, before[3])
+        same = now[1] is now[2] and before[1] is before[2]
+        restored = distorted if same else flicker(now[2], before[2], truth_rgb, before[3])
+        return {"flicker_distorted": distorted, "flicker_restored": restored}
 
 
 def averages(records: Iterable[dict[str, Any]]) -> dict[str, float]:

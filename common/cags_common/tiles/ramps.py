@@ -7,6 +7,8 @@ sent once for many frames, and never jumps.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,36 +37,43 @@ def share_of(time: float, begin: NDArray[np.int32], frames: U8) -> F32:
     return np.minimum(passed, 1.0).astype(np.float32)
 
 
+_NOWHERE = -1
+
+
 class Ramps:
-    """The splats of which one attribute is on its way; rows are splat ids, each at most once."""
+    """The splats of which one attribute is on its way; rows are splat ids, each at most once.
+
+    Ramps lie in rows of their own; a table from ids to rows finds them, so that a call takes time for the splats that
+    it names, not for all that are on their way.
+    """
 
     def __init__(self, width: tuple[int, ...]) -> None:
         """``width`` is the shape of one splat's values."""
-        self._ids: Rows = np.zeros(0, np.intp)  # ascending
-        self._begin = np.zeros(0, np.int32)
-        self._frames: U8 = np.zeros(0, np.uint8)
-        self._since = np.zeros(0, np.int32)  # media frame of the predecessor
-        self._from: F32 = np.zeros((0, *width), np.float32)
-        self._to: F32 = np.zeros((0, *width), np.float32)
+        self._place = np.full(1, _NOWHERE, np.int32)  # by id; the last one is nobody's
+        self._rows = _Rows.of(0, width)
+        self._taken = 0  # rows in use, those of forgotten splats among them
+        self._count = 0
 
     def __len__(self) -> int:
-        return len(self._ids)
+        return self._count
 
     @property
     def nbytes(self) -> int:
         """Memory, bytes."""
-        return sum(array.nbytes for array in vars(self).values())
+        return sum(array.nbytes for array in (self._place, *vars(self._rows).values()))
 
     def clear(self) -> None:
         """Forget all."""
-        self._keep(np.zeros(len(self._ids), bool))
+        self._place[:] = _NOWHERE
+        self._taken = self._count = 0
 
     def drop(self, ids: Ids) -> None:
         """Forget ``ids``: their attribute has another value, at once."""
-        _, at = self._found(ids)
-        kept = np.ones(len(self._ids), bool)
-        kept[at] = False
-        self._keep(kept)
+        rows, at = self._found(ids)
+        if len(at):
+            self._place[ids[rows]] = _NOWHERE
+            self._rows.ids[at] = _NOWHERE
+            self._count -= len(at)
 
     def ends(self, ids: Ids, otherwise: F32) -> F32:
         """The values [n, ...] to which ``ids`` [n] are on their way; ``otherwise`` [n, ...] those of all others."""
@@ -72,25 +81,32 @@ class Ramps:
         if not len(rows):
             return otherwise
         out = otherwise.copy()
-        out[rows] = self._to[at]
+        out[rows] = self._rows.ends[at]
         return out
 
     def put(self, ids: Rows, begin: int, frames: U8, values: tuple[F32, F32], since: NDArray[np.int32]) -> None:
-        """``ids`` [n] are on their way from media frame ``begin`` on, for ``frames`` [n].
+        """``ids`` [n], each once, are on their way from media frame ``begin`` on, for ``frames`` [n].
 
         ``values`` [n, ...] are those of the predecessors, which are of the media frames ``since`` [n], and the last.
         """
-        self.drop(ids)
-        old = vars(self).values()
-        new = ids, np.full(len(ids), begin, np.int32), frames, since, *values
-        joined = [np.concatenate([mine, added]) for mine, added in zip(old, new, strict=True)]
-        self._take(joined, np.argsort(joined[0], kind="stable"))
+        if not len(ids):
+            return
+        self._reach(int(ids.max()))
+        at = self._place[ids]
+        fresh = np.flatnonzero(at == _NOWHERE)
+        self._make_room(len(fresh))
+        at[fresh] = np.arange(self._taken, self._taken + len(fresh), dtype=np.int32)
+        self._taken, self._count = self._taken + len(fresh), self._count + len(fresh)
+        self._place[ids] = at
+        rows, (starts, ends) = self._rows, values
+        rows.ids[at], rows.begin[at], rows.frames[at], rows.since[at] = ids, begin, frames, since
+        rows.starts[at], rows.ends[at] = starts, ends
 
     def refine(self, ids: Ids, frame: int, values: F32) -> NDArray[np.bool_]:
         """Set the last ``values`` [n, ...] of those of ``ids`` [n] that began at ``frame``; returns which [n] did."""
         rows, at = self._found(ids)
-        mine = self._begin[at] == frame
-        self._to[at[mine]] = values[rows[mine]]
+        mine = self._rows.begin[at] == frame
+        self._rows.ends[at[mine]] = values[rows[mine]]
         out = np.zeros(len(ids), bool)
         out[rows[mine]] = True
         return out
@@ -100,43 +116,86 @@ class Ramps:
         predecessor, unless a newer one is known.
         """
         rows, at = self._found(ids)
-        mine = (self._since[at] <= frame) & (frame < self._begin[at])
-        self._from[at[mine]], self._since[at[mine]] = values[rows[mine]], frame
+        mine = (self._rows.since[at] <= frame) & (frame < self._rows.begin[at])
+        self._rows.starts[at[mine]], self._rows.since[at[mine]] = values[rows[mine]], frame
 
     def stand_on(self, ids: Ids, frame: int, values: F32) -> None:
         """Looks of media ``frame`` have come: they precede ramps whose predecessor is older."""
         rows, at = self._found(ids)
-        mine = self._since[at] < frame
-        self._from[at[mine]], self._since[at[mine]] = values[rows[mine]], OF_LOOKS
+        mine = self._rows.since[at] < frame
+        self._rows.starts[at[mine]], self._rows.since[at[mine]] = values[rows[mine]], OF_LOOKS
 
     def follows(self, ids: Ids, frame: int) -> bool:
         """Whether the update of media ``frame`` is the predecessor of any of ``ids``."""
         _, at = self._found(ids)
-        return bool((self._since[at] == frame).any())
+        return bool((self._rows.since[at] == frame).any())
 
     def at(self, time: float) -> tuple[Rows, F32, NDArray[np.int32]]:
         """Ids [m], values [m, ...] at ``time`` and the media frames [m] in which they began; those that have reached
         their value are forgotten.
         """
-        share = share_of(time, self._begin, self._frames)
-        along = share.reshape(-1, *[1] * (self._to.ndim - 1))
-        values = np.where(along >= 1, self._to, self._from + (self._to - self._from) * along)
-        found = self._ids, values, self._begin
+        self._keep(self._rows.ids[: self._taken] != _NOWHERE)
+        now = self._rows.first(self._count)
+        share = share_of(time, now.begin, now.frames)
+        along = share.reshape(-1, *[1] * (now.ends.ndim - 1))
+        values = np.where(along >= 1, now.ends, now.starts + (now.ends - now.starts) * along)
+        found = now.ids.astype(np.intp), values, now.begin.copy()
+        self._place[now.ids[share >= 1]] = _NOWHERE
         self._keep(share < 1)
         return found
 
     def _found(self, ids: Ids) -> tuple[Rows, Rows]:
         """Which of ``ids`` are on their way, and where each is."""
-        if not len(self._ids) or not len(ids):
+        if not self._count or not len(ids):
             return np.zeros(0, np.intp), np.zeros(0, np.intp)
-        at = np.minimum(np.searchsorted(self._ids, ids), len(self._ids) - 1)
-        rows = np.flatnonzero(self._ids[at] == ids)
-        return rows, at[rows]
+        at = self._place.take(ids, mode="clip")
+        rows = np.flatnonzero(at != _NOWHERE)
+        return rows, at[rows].astype(np.intp)
 
     def _keep(self, mask: NDArray[np.bool_]) -> None:
+        """Only the rows of ``mask`` [taken]; whoever loses one is not in the table any more."""
         if not mask.all():
-            self._take(list(vars(self).values()), np.flatnonzero(mask))
+            rows = np.flatnonzero(mask)
+            for array in vars(self._rows).values():
+                array[: len(rows)] = array[rows]
+            self._place[self._rows.ids[: len(rows)]] = np.arange(len(rows), dtype=np.int32)
+            self._taken = self._count = len(rows)
 
-    def _take(self, arrays: list[NDArray[np.generic]], rows: Rows) -> None:
-        for name, array in zip(vars(self), arrays, strict=True):
-            setattr(self, name, array[rows])
+    def _reach(self, last: int) -> None:
+        """Let the table have a place for all ids up to ``last``."""
+        if last > len(self._place) - 2:
+            longer = np.full(max(last + 2, 2 * len(self._place)), _NOWHERE, np.int32)
+            longer[: len(self._place)] = self._place
+            self._place = longer
+
+    def _make_room(self, more: int) -> None:
+        if self._taken + more > len(self._rows.ids):
+            self._rows = self._rows.longer(max(self._taken + more, 2 * self._taken))
+
+
+@dataclass(eq=False)
+class _Rows:
+    """Ramps, one a row."""
+
+    ids: NDArray[np.int32]  # [n]; -1: forgotten
+    begin: NDArray[np.int32]  # [n] media frames
+    frames: U8  # [n]
+    since: NDArray[np.int32]  # [n] media frame of the predecessor
+    starts: F32  # [n, ...] value of the predecessor
+    ends: F32  # [n, ...]
+
+    @staticmethod
+    def of(n: int, width: tuple[int, ...]) -> _Rows:
+        numbers = (np.full(n, _NOWHERE, np.int32), np.zeros(n, np.int32), np.ones(n, np.uint8), np.zeros(n, np.int32))
+        return _Rows(*numbers, np.zeros((n, *width), np.float32), np.zeros((n, *width), np.float32))
+
+    def first(self, n: int) -> _Rows:
+        """Views of the first ``n``."""
+        return _Rows(**{name: array[:n] for name, array in vars(self).items()})
+
+    def longer(self, n: int) -> _Rows:
+        """The same with room for ``n``."""
+        made = _Rows.of(n, self.ends.shape[1:])
+        for name, array in vars(self).items():
+            getattr(made, name)[: len(array)] = array
+        return made
