@@ -26,7 +26,8 @@ OF_THE_PAGE = {
     ("wire/session", "cags_protocol.sessions.client"): "MAX_PENDING_EVICTIONS MAX_DAMAGED",
     ("wire/inventory", "cags_protocol.wire.inventory"): "MAX_INVENTORY_TILES",
     ("player/quality", "cags_client.playback.quality"): """SPLAT_SHARE DOWN_AFTER_US UP_AFTER_US UP_AFTER_MOST_US
-        SMOOTHING_US HITCH UP_SHARE LEAST_GAIN SLOW HEADROOM MOST_FALL STEADY LEAST_PICTURES EVEN_PICTURES CAUTION""",
+        SMOOTHING_US HITCH UP_SHARE LEAST_GAIN WORTH_GAIN SLOW HEADROOM MOST_FALL STEADY LEAST_PICTURES EVEN_PICTURES
+        CAUTION""",
     ("player/player", "cags_client.playback.interactive"): "SEEK_PATIENCE_US JUMP_US",
     ("player/player", "cags_protocol.wire.limits"): "MOST_SAMPLES=MAX_POSE_SAMPLES",
     ("player/startup", "cags_client.playback.startup"): "QUIET_US UNREFINED_QUIET_US PREVIEW_EVERY_US",

@@ -44,8 +44,10 @@ HITCH = 2.0
 UP_SHARE = 0.8
 """Of the period: what a setting may take, by what is known, to be stepped up to."""
 
-LEAST_GAIN = 0.95
-"""A lower resolution that takes more than this share of the present one is no help."""
+LEAST_GAIN, WORTH_GAIN = 0.95, 0.8
+"""A lower level that takes more than the share ``LEAST_GAIN`` of the present one is no help; nor is a lower resolution
+where even the lowest takes too long, and more than ``WORTH_GAIN``: fewer pixels are seen, a tenth of the time is not.
+"""
 
 SLOW, HEADROOM = 0.85, 1.05
 """Fewer frames are displayed where less than the share ``SLOW`` of them can be; then as many as can be, and a little
@@ -194,7 +196,10 @@ class Quality:
     @property
     def _lower(self) -> bool:
         """Whether there is a lower level that helps."""
-        return self._level > 0 and self._takes_us(self._level - 1) <= LEAST_GAIN * self._takes_us(self._level)
+        takes_us = self._takes_us(self._level)
+        if self._level == 0 or self._takes_us(self._level - 1) > LEAST_GAIN * takes_us:
+            return False
+        return self._level >= len(self._scales) or self._takes_us(0) <= max(self.period_us, WORTH_GAIN * takes_us)
 
     @property
     def _top(self) -> int:

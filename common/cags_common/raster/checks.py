@@ -34,11 +34,7 @@ def drawable(splats: Splats, source: str = "splats") -> Splats:
         arrays["logit_opacities"] = np.where(np.isnan(logits), logits, np.clip(logits, -MAX_LOGIT, MAX_LOGIT))
     for name, array in arrays.items():
         _check_finite(name, array, source)
-    norms = np.linalg.norm(arrays["quats"].astype(np.float64), axis=1)
-    if norms.size and norms.min() < MIN_QUATERNION_NORM:
-        raise SceneError(
-            f"{source}: quats[{int(np.argmin(norms))}] is zero: it has no direction; give a unit quaternion"
-        )
+    _check_directions(arrays["quats"], source)
     return Splats(**arrays)
 
 
@@ -90,6 +86,17 @@ def check_camera(camera: Camera) -> None:
 def _check_rows(indices: NDArray[np.int64], count: int) -> None:
     if indices.size and (indices.min() < 0 or indices.max() >= count):
         raise IndexError(f"rows {indices.min()}..{indices.max()} do not lie in a scene of {count} splats")
+
+
+def _check_directions(quats: F32, source: str) -> None:
+    squares = np.einsum("nk,nk->n", quats, quats)
+    if not squares.size or squares.min() > 2 * MIN_QUATERNION_NORM**2:  # small ones are wrong in single precision
+        return
+    norms = np.linalg.norm(quats.astype(np.float64), axis=1)
+    if norms.min() < MIN_QUATERNION_NORM:
+        raise SceneError(
+            f"{source}: quats[{int(np.argmin(norms))}] is zero: it has no direction; give a unit quaternion"
+        )
 
 
 def _check_finite(name: str, array: F32, source: str) -> None:

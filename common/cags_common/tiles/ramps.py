@@ -102,14 +102,27 @@ class Ramps:
         rows.ids[at], rows.begin[at], rows.frames[at], rows.since[at] = ids, begin, frames, since
         rows.starts[at], rows.ends[at] = starts, ends
 
-    def refine(self, ids: Ids, frame: int, values: F32) -> NDArray[np.bool_]:
-        """Set the last ``values`` [n, ...] of those of ``ids`` [n] that began at ``frame``; returns which [n] did."""
+    def take_over(self, ids: Rows, begin: int, frames: U8, values: tuple[F32, F32], since: NDArray[np.int32]) -> None:
+        """An update says where ``ids`` [n], each once, are on their way to from media frame ``begin`` on.
+
+        Of those that began there, it refines the last values. Others begin at the values to which they were on their
+        way, or at the shown ones. ``values`` [n, ...] are the shown ones and the last; the rest is as for :meth:`put`.
+        """
         rows, at = self._found(ids)
-        mine = self._rows.begin[at] == frame
-        self._rows.ends[at[mine]] = values[rows[mine]]
-        out = np.zeros(len(ids), bool)
-        out[rows[mine]] = True
-        return out
+        if not len(rows):
+            self.put(ids, begin, frames, values, since)
+            return
+        shown, last = values
+        mine = self._rows.begin[at] == begin
+        self._rows.ends[at[mine]] = last[rows[mine]]
+        starts = shown.copy()
+        starts[rows] = self._rows.ends[at]
+        if mine.any():
+            fresh = np.ones(len(ids), np.bool_)
+            fresh[rows[mine]] = False
+            self.put(ids[fresh], begin, frames[fresh], (starts[fresh], last[fresh]), since[fresh])
+        else:
+            self.put(ids, begin, frames, (starts, last), since)
 
     def precede(self, ids: Ids, frame: int, values: F32) -> None:
         """An update of media ``frame`` has come with ``values`` [n, ...]: of ramps that begin later it is the
@@ -134,14 +147,20 @@ class Ramps:
         """Ids [m], values [m, ...] at ``time`` and the media frames [m] in which they began; those that have reached
         their value are forgotten.
         """
-        self._keep(self._rows.ids[: self._taken] != _NOWHERE)
-        now = self._rows.first(self._count)
+        if self._taken - self._count > self._count // 4:
+            self._compact()
+        now = self._rows.first(self._taken)
         share = share_of(time, now.begin, now.frames)
-        along = share.reshape(-1, *[1] * (now.ends.ndim - 1))
-        values = np.where(along >= 1, now.ends, now.starts + (now.ends - now.starts) * along)
-        found = now.ids.astype(np.intp), values, now.begin.copy()
-        self._place[now.ids[share >= 1]] = _NOWHERE
-        self._keep(share < 1)
+        there, done = now.ids != _NOWHERE, share >= 1
+        values = now.ends - now.starts
+        values *= share.reshape(-1, *[1] * (now.ends.ndim - 1))
+        values += now.starts
+        values[done] = now.ends[done]
+        found = now.ids[there].astype(np.intp), values[there], now.begin[there]
+        done &= there
+        self._place[now.ids[done]] = _NOWHERE
+        now.ids[done] = _NOWHERE
+        self._count -= int(np.count_nonzero(done))
         return found
 
     def _found(self, ids: Ids) -> tuple[Rows, Rows]:
@@ -152,14 +171,13 @@ class Ramps:
         rows = np.flatnonzero(at != _NOWHERE)
         return rows, at[rows].astype(np.intp)
 
-    def _keep(self, mask: NDArray[np.bool_]) -> None:
-        """Only the rows of ``mask`` [taken]; whoever loses one is not in the table any more."""
-        if not mask.all():
-            rows = np.flatnonzero(mask)
-            for array in vars(self._rows).values():
-                array[: len(rows)] = array[rows]
-            self._place[self._rows.ids[: len(rows)]] = np.arange(len(rows), dtype=np.int32)
-            self._taken = self._count = len(rows)
+    def _compact(self) -> None:
+        """Forgotten splats give up their rows."""
+        rows = np.flatnonzero(self._rows.ids[: self._taken] != _NOWHERE)
+        for array in vars(self._rows).values():
+            array[: len(rows)] = array[rows]
+        self._place[self._rows.ids[: len(rows)]] = np.arange(len(rows), dtype=np.int32)
+        self._taken = len(rows)
 
     def _reach(self, last: int) -> None:
         """Let the table have a place for all ids up to ``last``."""

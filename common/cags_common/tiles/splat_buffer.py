@@ -287,11 +287,13 @@ class SplatBuffer:
         """
         changed = []
         for column, change in values.items():
-            takes = self._takes(frame, column, change.ids)
-            if column in self._ramps:
-                rest = change.take(~takes & self._after(frame, change.ids))
-                self._ramps[column].precede(rest.ids, frame, rest.values)
-            taken = change if takes.all() else change.take(takes)
+            after = self._after(frame, change.ids)
+            takes = after & (self._updated[column][change.ids] <= frame)
+            taken = change
+            if not takes.all():
+                taken, rest = change.take(takes), change.take(after & ~takes)
+                if column in self._ramps:
+                    self._ramps[column].precede(rest.ids, frame, rest.values)
             self._change(frame, column, taken, time)
             changed.append(taken.ids)
         return self._shown(changed)
@@ -312,11 +314,12 @@ class SplatBuffer:
         ramps = self._ramps[column]
         later = frame + change.frames.astype(np.int64) > time + 1
         if later.any():
-            begins = later & ~ramps.refine(ids, frame, new)
-            fresh = change.take(begins)
-            before = ramps.ends(fresh.ids, target[fresh.ids])
-            ramps.put(fresh.ids, frame, fresh.frames, (before, fresh.values), since[begins])
-            ids, new = ids[~later], new[~later]
+            coming, at_once = (change, None) if later.all() else (change.take(later), ~later)
+            before = since if at_once is None else since[later]
+            ramps.take_over(coming.ids, frame, coming.frames, (target[coming.ids], coming.values), before)
+            if at_once is None:
+                return
+            ids, new = ids[at_once], new[at_once]
         ramps.drop(ids)
         target[ids] = new
 
@@ -331,9 +334,6 @@ class SplatBuffer:
             shown = self.owner[ids] >= 0
             out.append((ids[shown], began[shown]))
         return out
-
-    def _takes(self, frame: int, column: str, ids: Rows) -> NDArray[np.bool_]:
-        return (self._updated[column][ids] <= frame) & self._after(frame, ids)
 
     def _after(self, frame: int, ids: Rows) -> NDArray[np.bool_]:
         """Mask of the ``ids`` whose looks and end, if any, came at media ``frame`` or before."""

@@ -13,6 +13,7 @@ const SMOOTHING_US = 300_000;
 const HITCH = 2;
 const UP_SHARE = 0.8;
 const LEAST_GAIN = 0.95;
+const WORTH_GAIN = 0.8;
 const SLOW = 0.85;
 const HEADROOM = 1.05;
 const MOST_FALL = 0.5;
@@ -166,7 +167,9 @@ export class Quality {
 
   /** Whether there is a lower level that helps. */
   get #lower(): boolean {
-    return this.#level > 0 && this.#takesUs(this.#level - 1) <= LEAST_GAIN * this.#takesUs(this.#level);
+    const takesUs = this.#takesUs(this.#level);
+    if (this.#level === 0 || this.#takesUs(this.#level - 1) > LEAST_GAIN * takesUs) return false;
+    return this.#level >= this.#scales.length || this.#takesUs(0) <= Math.max(this.periodUs, WORTH_GAIN * takesUs);
   }
 
   get #top(): number {

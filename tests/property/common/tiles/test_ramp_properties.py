@@ -71,15 +71,18 @@ class RampsMachine(RuleBasedStateMachine):
         self.ramps.clear()
         self.table.of.clear()
 
-    @rule(ids=IDS, frame=FRAMES)
-    def refine(self, ids: list[int], frame: int) -> None:
-        values = self._fresh(len(ids))
-        done = self.ramps.refine(np.array(ids, np.intp), frame, values)
-        for splat, value, was in zip(ids, values, done, strict=True):
+    @rule(ids=IDS, begin=FRAMES, frames=st.integers(2, LONGEST_RAMP), since=st.integers(OF_LOOKS, 12))
+    def take_over(self, ids: list[int], begin: int, frames: int, since: int) -> None:
+        count, shown, ends = len(ids), self._fresh(len(ids)), self._fresh(len(ids))
+        lengths, sources = np.full(count, frames, np.uint8), np.full(count, since, np.int32)
+        self.ramps.take_over(np.array(ids, np.intp), begin, lengths, (shown, ends), sources)
+        for splat, value, end in zip(ids, shown, ends, strict=True):
             entry = self.table.of.get(splat)
-            assert was == (entry is not None and entry.begin == frame)
-            if was and entry is not None:
-                entry.end = float(value[0])
+            if entry is not None and entry.begin == begin:
+                entry.end = float(end[0])
+                continue
+            start = float(value[0]) if entry is None else entry.end
+            self.table.of[splat] = Entry(begin, frames, since, start, float(end[0]))
 
     @rule(ids=IDS, frame=FRAMES, looks=st.booleans())
     def begin_elsewhere(self, ids: list[int], frame: int, looks: bool) -> None:

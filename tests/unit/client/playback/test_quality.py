@@ -77,6 +77,18 @@ def test_frames_are_left_out_where_fewer_pixels_do_not_help() -> None:
     assert {b - a for a, b in pairwise(ticks(drawn))} == {1, 2}, "evenly"
 
 
+def test_pixels_stay_where_fewer_save_little_and_not_enough() -> None:
+    """Of a clip whose splats all change, updates took 60 ms and drawing 10: half the pixels lost 10 dB for nothing."""
+    drawn = machine(60.0, 10.0).play(20)
+    assert {each.scale for each in drawn} == {1.0}
+    of = machine(27.0, 10.0)
+    of.play(2)
+    assert {(each.scale, each.permille) for each in of.play(20)} == {(0.5, EVERY_FRAME)}, "enough"
+    of = machine(30.0, 40.0)
+    of.play(2)
+    assert {each.scale for each in of.play(20)} == {0.5}, "much"
+
+
 @pytest.mark.parametrize("full_ms", [40.0, 60.0, 100.0])
 def test_a_client_that_always_wants_all_pixels_leaves_frames_out(full_ms: float) -> None:
     of = machine(0.0, full_ms, made(SCALES[FULL]))

@@ -65,11 +65,15 @@ def test_looks_that_come_later_are_where_it_begins_unless_an_update_is_newer() -
 
 def test_its_own_update_refines_its_end_and_another_one_takes_over_from_there() -> None:
     made = ramps()
-    assert made.refine(np.array([2, 3]), 10, np.concatenate([value(5), value(2)])).tolist() == [False, True]
-    assert made.refine(ONE, 11, value(5)).tolist() == [False]
+    pair, looks = np.array([2, 3]), np.full(2, OF_LOOKS, np.int32)
+    last = np.concatenate([value(5), value(2)])
+    made.take_over(pair, 10, np.full(2, 4, np.uint8), (np.concatenate([value(7), value(7)]), last), looks)
     assert np.all(made.ends(ONE, value(0)) == 2) and np.all(made.ends(ONE + 1, value(0)) == 0)
-    made.put(ONE, 12, np.array([2], np.uint8), (made.ends(ONE, value(0)), value(4)), np.array([10], np.int32))
-    assert len(made) == 1 and np.all(made.at(12)[1] == 3)
+    ids, values, _ = made.at(10)
+    assert dict(zip(ids.tolist(), values[:, 0].tolist(), strict=True)) == {2: 6.5, 3: 0.5}, "from what is shown"
+    made.take_over(ONE, 12, np.array([2], np.uint8), (value(7), value(4)), np.array([10], np.int32))
+    ids, values, _ = made.at(12)
+    assert len(made) == 2 and dict(zip(ids.tolist(), values[:, 0].tolist(), strict=True))[3] == 3
 
 
 def update_of(frames: list[int]) -> bytes:
