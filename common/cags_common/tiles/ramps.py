@@ -81,7 +81,7 @@ class Ramps:
         if not len(rows):
             return otherwise
         out = otherwise.copy()
-        out[rows] = self._rows.ends[at]
+        out[rows] = self._rows.ends.take(at, axis=0)
         return out
 
     def put(self, ids: Rows, begin: int, frames: U8, values: tuple[F32, F32], since: NDArray[np.int32]) -> None:
@@ -92,12 +92,14 @@ class Ramps:
         if not len(ids):
             return
         self._reach(int(ids.max()))
-        at = self._place[ids]
-        fresh = np.flatnonzero(at == _NOWHERE)
+        places = self._place.take(ids)
+        fresh = np.flatnonzero(places == _NOWHERE)
         self._make_room(len(fresh))
-        at[fresh] = np.arange(self._taken, self._taken + len(fresh), dtype=np.int32)
-        self._taken, self._count = self._taken + len(fresh), self._count + len(fresh)
-        self._place[ids] = at
+        end = self._taken + len(fresh)
+        places[fresh] = np.arange(self._taken, end, dtype=np.int32)
+        at = slice(self._taken, end) if len(fresh) == len(ids) else places
+        self._taken, self._count = end, self._count + len(fresh)
+        self._place[ids] = places
         rows, (starts, ends) = self._rows, values
         rows.ids[at], rows.begin[at], rows.frames[at], rows.since[at] = ids, begin, frames, since
         rows.starts[at], rows.ends[at] = starts, ends
@@ -116,7 +118,7 @@ class Ramps:
         mine = self._rows.begin[at] == begin
         self._rows.ends[at[mine]] = last[rows[mine]]
         starts = shown.copy()
-        starts[rows] = self._rows.ends[at]
+        starts[rows] = self._rows.ends.take(at, axis=0)
         if mine.any():
             fresh = np.ones(len(ids), np.bool_)
             fresh[rows[mine]] = False
@@ -151,16 +153,16 @@ class Ramps:
             self._compact()
         now = self._rows.first(self._taken)
         share = share_of(time, now.begin, now.frames)
-        there, done = now.ids != _NOWHERE, share >= 1
+        done, there = np.flatnonzero(share >= 1), np.flatnonzero(now.ids != _NOWHERE)
         values = now.ends - now.starts
         values *= share.reshape(-1, *[1] * (now.ends.ndim - 1))
         values += now.starts
-        values[done] = now.ends[done]
-        found = now.ids[there].astype(np.intp), values[there], now.begin[there]
-        done &= there
-        self._place[now.ids[done]] = _NOWHERE
+        values[done] = now.ends.take(done, axis=0)
+        found = now.ids.take(there).astype(np.intp), values.take(there, axis=0), now.begin.take(there)
+        ended = now.ids.take(done)
+        self._place[ended[ended != _NOWHERE]] = _NOWHERE
         now.ids[done] = _NOWHERE
-        self._count -= int(np.count_nonzero(done))
+        self._count -= int(np.count_nonzero(ended != _NOWHERE))
         return found
 
     def _found(self, ids: Ids) -> tuple[Rows, Rows]:
@@ -175,7 +177,7 @@ class Ramps:
         """Forgotten splats give up their rows."""
         rows = np.flatnonzero(self._rows.ids[: self._taken] != _NOWHERE)
         for array in vars(self._rows).values():
-            array[: len(rows)] = array[rows]
+            array[: len(rows)] = array.take(rows, axis=0)
         self._place[self._rows.ids[: len(rows)]] = np.arange(len(rows), dtype=np.int32)
         self._taken = len(rows)
 

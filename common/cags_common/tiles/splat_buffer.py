@@ -248,17 +248,17 @@ class SplatBuffer:
             written = rows
             if keep is not None and keep.any():
                 written = rows[~keep]
-                base[written] = values[~keep]
+                _set_rows(base, written, values[~keep])
                 if name in self._ramps:
                     self._ramps[name].stand_on(rows[keep], slot.frame, values[keep])
             else:
-                base[rows] = values
+                _set_rows(base, rows, values)
             if keep is not None:
                 self._updated[name][written] = -1
             if name in self._ramps:
                 self._ramps[name].drop(written)
             if base is not targets[name] and not moving:
-                targets[name][rows] = base[rows]
+                _set_rows(targets[name], rows, base.take(rows, axis=0))
 
     def _touch(self, slot: Slot) -> bool:
         """Note a change of ``slot``; returns whether :meth:`move` will write its moving columns."""
@@ -316,12 +316,13 @@ class SplatBuffer:
         if later.any():
             coming, at_once = (change, None) if later.all() else (change.take(later), ~later)
             before = since if at_once is None else since[later]
-            ramps.take_over(coming.ids, frame, coming.frames, (target[coming.ids], coming.values), before)
+            shown = target.take(coming.ids, axis=0)
+            ramps.take_over(coming.ids, frame, coming.frames, (shown, coming.values), before)
             if at_once is None:
                 return
             ids, new = ids[at_once], new[at_once]
         ramps.drop(ids)
-        target[ids] = new
+        _set_rows(target, ids, new)
 
     def ramp(self, time: float) -> list[tuple[Rows, NDArray[np.int32]]]:
         """Show attributes that are on their way as they are at ``time`` (media frames). Returns the changed rows, by
@@ -330,8 +331,8 @@ class SplatBuffer:
         out = []
         for column, ramps in self._ramps.items():
             ids, values, began = ramps.at(time)
-            getattr(self.splats, column)[ids] = values
-            shown = self.owner[ids] >= 0
+            _set_rows(getattr(self.splats, column), ids, values)
+            shown = self.owner.take(ids) >= 0
             out.append((ids[shown], began[shown]))
         return out
 
@@ -411,6 +412,16 @@ class SplatBuffer:
         shown = Looks(*(getattr(self.splats, name) for name in MOVING_COLUMNS))
         move_rows(tiles, Looks(*self._still.values()), shown, self._threads)
         return rows
+
+
+def _set_rows(array: F32, rows: NDArray[np.integer], values: F32) -> None:
+    """``array[rows] = values``, row by row as one item each: half the time of number by number."""
+    width = array[:1].nbytes
+    if not width or not len(rows):
+        return
+    item = np.dtype((np.void, width))
+    whole = array.reshape(len(array), -1).view(item)
+    whole[rows] = np.ascontiguousarray(values).reshape(len(rows), -1).view(item)
 
 
 def _ends_all(chunk: Chunk) -> bool:

@@ -65,7 +65,8 @@ class Change:
 
     def take(self, rows: NDArray[np.bool_]) -> Change:
         """The change of those that ``rows`` [m] selects."""
-        return Change(self.ids[rows], self.values[rows], self.frames[rows])
+        at = np.flatnonzero(rows)
+        return Change(self.ids.take(at), self.values.take(at, axis=0), self.frames.take(at))
 
 
 def encode_update(  # noqa: PLR0917
