@@ -7,6 +7,7 @@ the first frame of the next group.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from cags_common.tiles.kinds import TileKind
@@ -36,6 +37,12 @@ in every frame.
 
 RESERVED_SPLATS = 1 << 20
 """Largest number of splats that appear within the reserve: the client holds them decoded, up to 240 bytes each."""
+
+MOST_PASSED = 8
+"""Frames before the one planned ahead that are looked at, as many as precede the first one of a play."""
+
+FOLLOWED_AT_ONCE = 4
+"""Frames after the one that the viewer is paused at that are looked at together: each takes some milliseconds."""
 
 LOOK_BACK_EVERY = 4
 """Planned frames until what the reserve has passed over is looked for again; every frame where splats are sent whole.
@@ -69,12 +76,13 @@ class TilePlanner:
         self._fetches = fetches
         self._opening: Ahead | None = None  # of the next group of frames, where it is near
         self._held_is_good = False  # the frame that the viewer is paused at, about as good as it will be
-        self._followers: tuple[VisibleTile, ...] | None = None  # what begins after it and was not sent; None: not known
+        self._followers: tuple[VisibleTile, ...] = ()  # what begins after it and was not sent, as far as looked at
+        self._followed: int | None = None  # the last frame looked at for that
 
     def restart(self) -> None:
         """The viewer has played, paused or jumped: what was planned before says nothing any more."""
-        self._newest = self._followers = self._opening = None
-        self._held_is_good = False
+        self._newest = self._followed = self._opening = None
+        self._followers, self._held_is_good = (), False
 
     @property
     def to_fetch(self) -> int | None:
@@ -93,11 +101,12 @@ class TilePlanner:
         """Tiles and ends of the frames before the one planned ahead that no earlier plan served.
 
         Where they are many, as at the beginning, a bundle with motion brings only the chunks that begin in them: what
-        moves would stand still until others began. What else changes in these frames alone is passed over.
+        moves would stand still until others began. What else changes in these frames alone is passed over. Of very
+        many only the last are looked at: a server that is late would be later after each.
         """
         many = self._library.manifest.motion is not None and len(plan.before) > FEW_PASSED
         out: list[ev.Outgoing] = []
-        for ahead in plan.before:
+        for ahead in plan.before[-MOST_PASSED:]:
             ended = -1 if self._tiles.ended is None else self._tiles.ended
             if not ended < ahead.frame < plan.ahead.frame or not self._visibility.tells_of(ahead.frame):
                 continue
@@ -156,21 +165,34 @@ class TilePlanner:
 
     def _following(self, record: FrameRecord, visible: tuple[VisibleTile, ...]) -> tuple[VisibleTile, ...]:
         """What begins in the frames after the one that the viewer is paused at, once that one is about as good as it
-        will be: the first frames of a play would otherwise all be due at once. Their ends come with the play.
+        will be: the first frames of a play would otherwise all be due at once. Some frames at a time, the next ones
+        when these are sent; as far as the reserve may reach. Their ends come with the play.
         """
         frame = record.ahead.frame
         if self._schedule.timeline.playing or not self._held_is_good or not self._visibility.tells_of(frame):
             return ()
-        begins = self._beginning_after(frame) if self._followers is None else self._followers
-        self._followers = tuple(tile for tile in begins if not self._tiles.view(tile, tile.frame, 0.0).complete)
+        self._followers = self._lacking(self._followers)
+        if not self._followers:
+            followed = frame if self._followed is None else self._followed
+            last = min(followed + FOLLOWED_AT_ONCE, self._last_to_follow(frame))
+            self._followers = self._lacking(self._beginning_after(followed, last))
+            self._followed = max(followed, last)
         return _others(self._followers, visible)
 
-    def _beginning_after(self, frame: int) -> tuple[VisibleTile, ...]:
-        """Tiles in view that begin within :attr:`~cags_server.settings.ServerSettings.tiles_ahead` frames of its group
-        after ``frame``, each as seen in the first of these frames.
+    def _lacking(self, tiles: Sequence[VisibleTile]) -> tuple[VisibleTile, ...]:
+        return tuple(tile for tile in tiles if not self._tiles.view(tile, tile.frame, 0.0).complete)
+
+    def _last_to_follow(self, frame: int) -> int:
+        """The last frame after ``frame``, at which the viewer is paused, whose tiles may be sent meanwhile."""
+        manifest, ahead = self._library.manifest, self._settings.tiles_ahead
+        while self._schedule.reserve.covers((ahead + 1) * self._schedule.timeline.period_us):
+            ahead += 1
+        return min(frame + ahead, manifest.gof_frames(manifest.gof_of(frame))[-1])
+
+    def _beginning_after(self, frame: int, last: int) -> tuple[VisibleTile, ...]:
+        """Tiles in view that begin after ``frame`` and up to ``last``, of its group, each as seen in the first of these
+        frames.
         """
-        manifest = self._library.manifest
-        last = min(frame + self._settings.tiles_ahead, manifest.gof_frames(manifest.gof_of(frame))[-1])
         found: dict[tuple[int, int], VisibleTile] = {}
         for later in range(frame + 1, last + 1):
             for tile in self._visibility.tiles(later):

@@ -14,6 +14,7 @@ from cags_common.tiles.kinds import TileKind
 from cags_protocol import events as ev
 from cags_protocol.wire.messages import FrameEnd, Mark, ReferenceFrame, TileLayers
 from cags_server.reference.job import FrameJob
+from cags_server.session import tile_planner
 from cags_server.settings import PLAIN
 from support.moving_bundle import moving_library
 from support.server_scene import BIRTH, SETTINGS, FakeReader, FakeScene, hello, library
@@ -174,6 +175,34 @@ def test_what_a_held_play_begins_with_is_there_before_it_begins() -> None:
     out = rig.step()
     assert (ends(out), first_levels(out)) == ([1, 2, 3], [])
     assert not any(mark.restart for mark in rig.marks)
+
+
+def test_a_long_hold_fills_the_reserve_frame_by_frame() -> None:
+    """The link was idle until the play began, and what its first half second needs went out in one burst then."""
+    frames = 7
+    rig = Rig(replace(FAR, reserve_s=(frames + 0.5) / library().manifest.fps), gof=12)
+    rig.poses(0, 20_000)
+    rig.control("pause", 0, 0)
+    outs = [rig.step() for _ in range(12)]
+    prepared = [frame for out in outs for frame, _ in first_levels(out) if frame]
+    assert (prepared, set(prepared)) == (sorted(prepared), set(range(1, frames + 1)))
+    rig.control("play", 0, 900_000)
+    out = rig.step()
+    assert (ends(out), first_levels(out)) == ([1, 2, 3], [])
+
+
+def test_a_server_that_is_very_late_looks_at_few_of_the_frames_it_passes_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It looked at all of them, for some milliseconds each, and was later after each plan."""
+    monkeypatch.setattr(tile_planner, "MOST_PASSED", 2)
+    rig = Rig(FAR)
+    rig.play()
+    rig.step()
+    looked, tiles = list[int](), rig.streamer._visibility.tiles
+    monkeypatch.setattr(rig.streamer._visibility, "tiles", lambda frame: (looked.append(frame), tiles(frame))[1])
+    out = rig.step(late_us=round(5.5e6 / rig.library.manifest.fps))
+    assert rig.streamer.stats.records[-1].ahead.frame == 9
+    assert looked == [7, 8]
+    assert ends(out) == [4, 5, 6, 7, 8, 9], "all end nevertheless"
 
 
 def test_nothing_is_prepared_while_the_frame_on_display_lacks_something_nor_beyond_its_group() -> None:
