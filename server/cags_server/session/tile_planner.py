@@ -39,7 +39,7 @@ RESERVED_SPLATS = 1 << 20
 """Largest number of splats that appear within the reserve: the client holds them decoded, up to 240 bytes each."""
 
 MOST_PASSED = 8
-"""Frames before the one planned ahead that are looked at, as many as precede the first one of a play."""
+"""Frames before the one planned ahead that are looked at, or as many as precede the first one of a play."""
 
 FOLLOWED_AT_ONCE = 4
 """Frames after the one that the viewer is paused at that are looked at together: each takes some milliseconds."""
@@ -106,7 +106,7 @@ class TilePlanner:
         """
         many = self._library.manifest.motion is not None and len(plan.before) > FEW_PASSED
         out: list[ev.Outgoing] = []
-        for ahead in plan.before[-MOST_PASSED:]:
+        for ahead in plan.before[-max(MOST_PASSED, self._settings.tiles_ahead) :]:
             ended = -1 if self._tiles.ended is None else self._tiles.ended
             if not ended < ahead.frame < plan.ahead.frame or not self._visibility.tells_of(ahead.frame):
                 continue

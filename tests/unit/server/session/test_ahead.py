@@ -194,15 +194,15 @@ def test_a_long_hold_fills_the_reserve_frame_by_frame() -> None:
 def test_a_server_that_is_very_late_looks_at_few_of_the_frames_it_passes_over(monkeypatch: pytest.MonkeyPatch) -> None:
     """It looked at all of them, for some milliseconds each, and was later after each plan."""
     monkeypatch.setattr(tile_planner, "MOST_PASSED", 2)
-    rig = Rig(FAR)
+    rig = Rig(replace(FAR, tiles_ahead=2), gof=12)
     rig.play()
     rig.step()
     looked, tiles = list[int](), rig.streamer._visibility.tiles
     monkeypatch.setattr(rig.streamer._visibility, "tiles", lambda frame: (looked.append(frame), tiles(frame))[1])
     out = rig.step(late_us=round(5.5e6 / rig.library.manifest.fps))
-    assert rig.streamer.stats.records[-1].ahead.frame == 9
-    assert looked == [7, 8]
-    assert ends(out) == [4, 5, 6, 7, 8, 9], "all end nevertheless"
+    assert rig.streamer.stats.records[-1].ahead.frame == 8
+    assert looked == [6, 7]
+    assert ends(out) == [3, 4, 5, 6, 7, 8], "all end nevertheless"
 
 
 def test_nothing_is_prepared_while_the_frame_on_display_lacks_something_nor_beyond_its_group() -> None:
