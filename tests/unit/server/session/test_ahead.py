@@ -191,18 +191,25 @@ def test_a_long_hold_fills_the_reserve_frame_by_frame() -> None:
     assert (ends(out), first_levels(out)) == ([1, 2, 3], [])
 
 
-def test_a_server_that_is_very_late_looks_at_few_of_the_frames_it_passes_over(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("most", [1, 2, 8])
+def test_a_server_that_is_very_late_looks_at_few_of_the_frames_it_passes_over(
+    monkeypatch: pytest.MonkeyPatch, most: int
+) -> None:
     """It looked at all of them, for some milliseconds each, and was later after each plan."""
-    monkeypatch.setattr(tile_planner, "MOST_PASSED", 2)
-    rig = Rig(replace(FAR, tiles_ahead=2), gof=12)
+    monkeypatch.setattr(tile_planner, "MOST_PASSED", most)
+    rig = Rig(replace(FAR, tiles_ahead=1, reserve_s=0.8), gof=12)
     rig.play()
-    rig.step()
+    while rig.streamer._schedule.reserve.frames < 4:
+        rig.step()
     looked, tiles = list[int](), rig.streamer._visibility.tiles
     monkeypatch.setattr(rig.streamer._visibility, "tiles", lambda frame: (looked.append(frame), tiles(frame))[1])
-    out = rig.step(late_us=round(5.5e6 / rig.library.manifest.fps))
-    assert rig.streamer.stats.records[-1].ahead.frame == 8
-    assert looked == [6, 7]
-    assert ends(out) == [3, 4, 5, 6, 7, 8], "all end nevertheless"
+    out = rig.step(late_us=round(2.5e6 / rig.library.manifest.fps))
+    record = rig.streamer.stats.records[-1]
+    ahead = record.ahead.frame
+    passed = [ahead - 3, ahead - 2, ahead - 1]
+    assert looked[: min(most, 3)] == passed[-most:]
+    assert len(looked) == min(most, 3) + 1, "and what has come into view since"
+    assert ends(out)[-4:] == [*passed, ahead], "all end nevertheless"
 
 
 def test_nothing_is_prepared_while_the_frame_on_display_lacks_something_nor_beyond_its_group() -> None:
