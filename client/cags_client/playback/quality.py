@@ -45,8 +45,9 @@ UP_SHARE = 0.8
 """Of the period: what a setting may take, by what is known, to be stepped up to."""
 
 LEAST_GAIN, WORTH_GAIN = 0.95, 0.8
-"""A lower level that takes more than the share ``LEAST_GAIN`` of the present one is no help; nor is a lower resolution
-where even the lowest takes too long, and more than ``WORTH_GAIN``: fewer pixels are seen, a tenth of the time is not.
+"""A lower level that takes more than the share ``LEAST_GAIN`` of the time of the present one is no help. Nor is a lower
+resolution if even the lowest is not in time and takes more than ``WORTH_GAIN``: the loss of pixels is visible, the few
+milliseconds are not.
 """
 
 SLOW, HEADROOM = 0.85, 1.05

@@ -43,8 +43,8 @@ _NOWHERE = -1
 class Ramps:
     """The splats of which one attribute is on its way; rows are splat ids, each at most once.
 
-    Ramps lie in rows of their own; a table from ids to rows finds them, so that a call takes time for the splats that
-    it names, not for all that are on their way.
+    Ramps are stored in rows of their own, found by a table from ids to rows, so that the time of a call depends on the
+    number of splats it names and not on all that are on their way.
     """
 
     def __init__(self, width: tuple[int, ...]) -> None:
@@ -174,7 +174,7 @@ class Ramps:
         return rows, at[rows].astype(np.intp)
 
     def _compact(self) -> None:
-        """Forgotten splats give up their rows."""
+        """Remove the rows of forgotten splats."""
         rows = np.flatnonzero(self._rows.ids[: self._taken] != _NOWHERE)
         for array in vars(self._rows).values():
             array[: len(rows)] = array.take(rows, axis=0)
@@ -182,7 +182,7 @@ class Ramps:
         self._taken = len(rows)
 
     def _reach(self, last: int) -> None:
-        """Let the table have a place for all ids up to ``last``."""
+        """Extend the table to all ids up to ``last``."""
         if last > len(self._place) - 2:
             longer = np.full(max(last + 2, 2 * len(self._place)), _NOWHERE, np.int32)
             longer[: len(self._place)] = self._place

@@ -415,7 +415,7 @@ class SplatBuffer:
 
 
 def _set_rows(array: F32, rows: NDArray[np.integer], values: F32) -> None:
-    """``array[rows] = values``, row by row as one item each: half the time of number by number."""
+    """``array[rows] = values``, with each row copied as one item, which takes half the time."""
     width = array[:1].nbytes
     if not width or not len(rows):
         return

@@ -39,10 +39,10 @@ RESERVED_SPLATS = 1 << 20
 """Largest number of splats that appear within the reserve: the client holds them decoded, up to 240 bytes each."""
 
 MOST_PASSED = 8
-"""Frames before the one planned ahead that are looked at, or as many as precede the first one of a play."""
+"""Largest number of passed frames that are looked at, unless more (``tiles_ahead``) precede the first one of a play."""
 
 FOLLOWED_AT_ONCE = 4
-"""Frames after the one that the viewer is paused at that are looked at together: each takes some milliseconds."""
+"""Number of frames after the paused one that are looked at in one plan; each takes some milliseconds."""
 
 LOOK_BACK_EVERY = 4
 """Planned frames until what the reserve has passed over is looked for again; every frame where splats are sent whole.
@@ -101,8 +101,8 @@ class TilePlanner:
         """Tiles and ends of the frames before the one planned ahead that no earlier plan served.
 
         Where they are many, as at the beginning, a bundle with motion brings only the chunks that begin in them: what
-        moves would stand still until others began. What else changes in these frames alone is passed over. Of very
-        many only the last are looked at: a server that is late would be later after each.
+        moves would stand still until others began. What else changes in these frames alone is passed over. Only the
+        last :data:`MOST_PASSED` are looked at: this takes time, of which a late server has none.
         """
         many = self._library.manifest.motion is not None and len(plan.before) > FEW_PASSED
         out: list[ev.Outgoing] = []
@@ -165,8 +165,8 @@ class TilePlanner:
 
     def _following(self, record: FrameRecord, visible: tuple[VisibleTile, ...]) -> tuple[VisibleTile, ...]:
         """What begins in the frames after the one that the viewer is paused at, once that one is about as good as it
-        will be: the first frames of a play would otherwise all be due at once. Some frames at a time, the next ones
-        when these are sent; as far as the reserve may reach. Their ends come with the play.
+        will be: the first frames of a play would otherwise all be due at once. A few frames at a time, the next ones
+        when these have been sent, as far as the reserve may reach. Their ends come with the play.
         """
         frame = record.ahead.frame
         if self._schedule.timeline.playing or not self._held_is_good or not self._visibility.tells_of(frame):

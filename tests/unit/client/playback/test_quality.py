@@ -78,7 +78,7 @@ def test_frames_are_left_out_where_fewer_pixels_do_not_help() -> None:
 
 
 def test_pixels_stay_where_fewer_save_little_and_not_enough() -> None:
-    """Of a clip whose splats all change, updates took 60 ms and drawing 10: half the pixels lost 10 dB for nothing."""
+    """Updates of a clip whose splats all change took 60 ms and drawing 10, and half of the pixels were given up."""
     drawn = machine(60.0, 10.0).play(20)
     assert {each.scale for each in drawn} == {1.0}
     of = machine(27.0, 10.0)
