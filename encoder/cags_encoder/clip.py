@@ -93,7 +93,7 @@ class ClipEncoder:
     def _differing(self, placed: Iterable[Placed]) -> Iterator[_Chosen]:
         """Changed splats, sent whole (paper, section "Differential frames")."""
         held = DecoderCopy(self._codec.get(), self._settings.change_threshold)
-        items = ahead(self._workers, quantise, placed, lambda frame: (self._codec, frame.delta, frame.key))
+        items = ahead(self._workers, quantise, placed, lambda frame: (self._codec, frame))
         for frame, quantised in items:
             if frame.key:
                 held = DecoderCopy(self._codec.get(), self._settings.change_threshold)

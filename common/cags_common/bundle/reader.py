@@ -222,6 +222,7 @@ class BundleReader:
         delta = decode_source(data, f"source frame {frame}")
         self.within(delta.ids, frame, "source")
         self.within(delta.removed, frame, "source, removed")
+        self.within(delta.moved.ids, frame, "source, moved")
         return delta
 
     def source(self, frame: int) -> SourceFrame:

@@ -1,7 +1,8 @@
 """Source frames: the unquantised splats that reference pictures are rendered from (server side only).
 
-The first frame of a group holds all splats, later ones only rows that differ in any bit, and the ids that went.
-Lossless: float32 byte planes, gzipped.
+The first frame of a group holds all splats. Later ones hold whole rows of splats that appear or get other scales or
+colours, position, rotation and opacity of others that differ in any bit, and the ids that went. Lossless: float32 byte
+planes, gzipped.
 """
 
 from __future__ import annotations
@@ -18,7 +19,14 @@ from cags_common.geometry import F32
 from cags_common.splats import MAX_SPLATS, SH_REST_OF_DEGREE, Ids, Splats
 
 _HEADER = struct.Struct("<BBxxIII")  # version, SH degree, splats, bytes of ids, bytes of removed ids
-_VERSION = 1
+_MOVED = struct.Struct("<II")  # splats that keep their scales and colours, bytes of their ids
+_VERSION = 2
+_WHOLE_ROWS = 1
+"""Version without moved splats: every row is whole."""
+
+_PLACE = [*range(7), 10]
+"""Columns of position, rotation and opacity."""
+
 _FAST = 1
 """gzip level: byte planes of float32 gain 2 % from level 6 and take five times as long."""
 
@@ -35,19 +43,53 @@ class SourceFrame:
 
 
 @dataclass(frozen=True, eq=False)
+class Moved:
+    """Splats that keep their scales and colours."""
+
+    ids: Ids  # [K] ascending
+    means: F32  # [K, 3] world, metres
+    quats: F32  # [K, 4] wxyz
+    logit_opacities: F32  # [K]
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+NOTHING_MOVED = Moved(
+    np.zeros(0, np.int32), np.zeros((0, 3), np.float32), np.zeros((0, 4), np.float32), np.zeros(0, np.float32)
+)
+
+
+@dataclass(frozen=True, eq=False)
 class SourceDelta:
     """What one source frame changes against the one before; everything in the first frame of a group."""
 
     ids: Ids  # [M] ascending
     splats: Splats  # [M]
     removed: Ids  # [R] ascending
+    moved: Moved = NOTHING_MOVED
+    """Others, none of them in ``ids``."""
+
+    @property
+    def changes(self) -> bool:
+        """Whether the frame differs from the one before."""
+        return bool(len(self.ids) or len(self.removed) or len(self.moved))
+
+    def keeping(self, kept: NDArray[np.bool_]) -> SourceDelta:
+        """The same with those of ``ids`` that are ``kept`` [M], which have the scales and colours of before, moved."""
+        rows = np.flatnonzero(kept)
+        s = self.splats
+        moved = Moved(self.ids[rows], s.means[rows], s.quats[rows], s.logit_opacities[rows])
+        return SourceDelta(self.ids[~kept], s.take(~kept), self.removed, moved)
 
 
 def encode_source(delta: SourceDelta) -> bytes:
     """Pack one frame; lossless and deterministic."""
-    ids, removed = encode_ids(delta.ids), encode_ids(delta.removed)
+    ids, removed, moving = (encode_ids(some) for some in (delta.ids, delta.removed, delta.moved.ids))
     header = _HEADER.pack(_VERSION, delta.splats.sh_degree, len(delta.ids), len(ids), len(removed))
-    return header + ids + removed + gzip_bytes(_to_planes(_matrix(delta.splats)), _FAST)
+    header += _MOVED.pack(len(delta.moved), len(moving))
+    planes = _to_planes(_matrix(delta.splats)) + _to_planes(_places(delta.moved))
+    return header + ids + removed + moving + gzip_bytes(planes, _FAST)
 
 
 def decode_source(data: bytes | memoryview, what: str) -> SourceDelta:
@@ -55,18 +97,36 @@ def decode_source(data: bytes | memoryview, what: str) -> SourceDelta:
     if len(data) < _HEADER.size:
         raise BundleError(f"{what}: is cut short")
     version, degree, count, id_bytes, removed_bytes = _HEADER.unpack_from(data)
-    if version != _VERSION or degree > 3 or count > MAX_SPLATS:
+    view, moved, moved_bytes = memoryview(data)[_HEADER.size :], 0, 0
+    if version != _WHOLE_ROWS:
+        if len(view) < _MOVED.size:
+            raise BundleError(f"{what}: is cut short")
+        moved, moved_bytes = _MOVED.unpack_from(view)
+        view = view[_MOVED.size :]
+    if version not in (_WHOLE_ROWS, _VERSION) or degree > 3 or count + moved > MAX_SPLATS:
         raise BundleError(
-            f"{what}: version {version}, SH degree {degree}, {count} splats; beyond what this program reads"
+            f"{what}: version {version}, SH degree {degree}, {count + moved} splats; beyond what this program reads"
         )
-    view = memoryview(data)[_HEADER.size :]
-    ids = decode_ids(view[:id_bytes], what=what)
-    removed = decode_ids(view[id_bytes : id_bytes + removed_bytes], what=what)
+    lists = []
+    for size in (id_bytes, removed_bytes, moved_bytes)[: 2 if version == _WHOLE_ROWS else 3]:
+        lists.append(decode_ids(view[:size], what=what))
+        view = view[size:]
+    ids, removed, moving = lists if len(lists) == 3 else (*lists, NOTHING_MOVED.ids)
     width = 14 + 3 * SH_REST_OF_DEGREE[degree]
-    raw = gunzip_bounded(view[id_bytes + removed_bytes :], 4 * width * count, what)
-    if len(ids) != count or len(raw) != 4 * width * count:
-        raise BundleError(f"{what}: holds {len(ids)} ids and {len(raw)} bytes of values for {count} splats")
-    return SourceDelta(ids, _splats(_from_planes(raw, count, width)), removed)
+    whole, places = 4 * width * count, 4 * len(_PLACE) * moved
+    raw = gunzip_bounded(view, whole + places, what)
+    if (len(ids), len(moving), len(raw)) != (count, moved, whole + places):
+        raise BundleError(
+            f"{what}: holds {len(ids)} + {len(moving)} ids and {len(raw)} bytes of values for {count} + {moved} splats"
+        )
+    values = memoryview(raw)
+    placed = _from_planes(values[whole:], moved, len(_PLACE))
+    return SourceDelta(
+        ids,
+        _splats(_from_planes(values[:whole], count, width)),
+        removed,
+        Moved(moving, *(np.ascontiguousarray(part) for part in (placed[:, :3], placed[:, 3:7], placed[:, 7]))),
+    )
 
 
 class SourceState:
@@ -79,7 +139,8 @@ class SourceState:
     def apply(self, delta: SourceDelta) -> None:
         """Take one frame's changes. Raises :class:`BundleError` for ids or an SH degree that do not fit the group."""
         width = 14 + delta.splats.sh_rest.shape[1] * 3
-        largest = max((int(ids[-1]) for ids in (delta.ids, delta.removed) if len(ids)), default=-1)
+        lists = (delta.ids, delta.removed, delta.moved.ids)
+        largest = max((int(ids[-1]) for ids in lists if len(ids)), default=-1)
         if width != self._rows.shape[1] or largest >= len(self._alive):
             raise BundleError(
                 f"source frame: id {largest} or its SH degree does not fit the group's {len(self._alive)} ids"
@@ -87,6 +148,7 @@ class SourceState:
         self._alive[delta.removed] = False
         self._rows[delta.ids] = _matrix(delta.splats)
         self._alive[delta.ids] = True
+        self._rows[np.ix_(delta.moved.ids, _PLACE)] = _places(delta.moved)
 
     def frame(self) -> SourceFrame:
         """The splats alive now (copies)."""
@@ -98,6 +160,11 @@ def _matrix(splats: Splats) -> F32:
     """All values of each splat in one row [n, 14 + 3 K]."""
     columns = (array.reshape(len(splats), int(np.prod(array.shape[1:], dtype=int))) for _, array in splats.arrays())
     return np.concatenate(list(columns), axis=1)
+
+
+def _places(moved: Moved) -> F32:
+    """Position, rotation and opacity of each in one row [n, 8]."""
+    return np.concatenate([moved.means, moved.quats, moved.logit_opacities[:, None]], axis=1)
 
 
 def _splats(rows: F32) -> Splats:
@@ -114,7 +181,7 @@ def _to_planes(rows: F32) -> bytes:
     return np.ascontiguousarray(words.view(np.uint8).reshape(rows.shape[1], -1, 4).transpose(0, 2, 1)).tobytes()
 
 
-def _from_planes(raw: bytes, count: int, width: int) -> F32:
+def _from_planes(raw: bytes | memoryview, count: int, width: int) -> F32:
     planes = np.frombuffer(raw, np.uint8).reshape(width, 4, count)
     rows = np.empty((count, width), "<f4")
     values = rows.view(np.uint8).reshape(count, width, 4)

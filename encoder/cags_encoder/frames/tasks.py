@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
-from cags_common.bundle import SourceDelta, TilePayloads
+from cags_common.bundle import TilePayloads
 from cags_common.bundle.source import encode_source
 from cags_common.splats import Splats
 from cags_common.tiles.kinds import TileKind
@@ -36,13 +36,13 @@ def read(source: Shared[FrameSource], index: int) -> Splats:
     return source.get().frame(index)
 
 
-def quantise(codec: Shared[ClipCodec], delta: SourceDelta, key: bool) -> QuantisedDelta:
+def quantise(codec: Shared[ClipCodec], frame: Placed) -> QuantisedDelta:
     """Quantise all changes of a frame."""
     machine = codec.get()
-    prepared = machine.prepare(delta.splats)
+    prepared = machine.prepare(frame.delta.splats)
     coded = machine.quantise(prepared)
-    effect = None if key else visible_effect(machine.decode(coded), prepared)
-    return QuantisedDelta(prepared, coded, effect, encode_source(delta))
+    effect = None if frame.key else visible_effect(machine.decode(coded), prepared)
+    return QuantisedDelta(prepared, coded, effect, encode_source(frame.source))
 
 
 def quantise_looks(codec: Shared[ClipCodec], frame: Placed) -> QuantisedDelta:
@@ -50,7 +50,7 @@ def quantise_looks(codec: Shared[ClipCodec], frame: Placed) -> QuantisedDelta:
     machine = codec.get()
     assert frame.told is not None
     prepared = machine.prepare(frame.told.splats)
-    return QuantisedDelta(prepared, machine.quantise(prepared), None, encode_source(frame.delta))
+    return QuantisedDelta(prepared, machine.quantise(prepared), None, encode_source(frame.source))
 
 
 def pack(codec: Shared[ClipCodec], tiles: tuple[AnyCut, ...]) -> tuple[TilePayloads, ...]:

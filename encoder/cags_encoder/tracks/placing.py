@@ -23,6 +23,7 @@ MOTION = ("means", "quats")
 """Columns of splats that chunks of motion code."""
 
 LOOKS = ("log_scales", "logit_opacities", "sh0", "sh_rest")
+LASTING = ("log_scales", "sh0", "sh_rest")
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +70,13 @@ class Placed:
     """What to code of those that look different; None: what is in the delta."""
     rounded: Mapping[str, F32] = field(default_factory=dict)
     """Column of splats -> values that the source rounds it to (:mod:`cags_encoder.tracks.rounding`)."""
+    kept: NDArray[np.bool_] | None = None
+    """[m] which keep the scales and colours that they had; None: none."""
+
+    @property
+    def source(self) -> SourceDelta:
+        """The delta as the bundle's source holds it: of those that keep their looks, only where they are."""
+        return self.delta if self.kept is None else self.delta.keeping(self.kept)
 
 
 ROOM = 2.0
@@ -102,10 +110,11 @@ class ClipPlacer:
                 self._placer = Placer()
                 self.starts.append(index)
             splats = frame.look.splats
-            delta, births, looked = self._placer.place(splats, frame.ids)
+            delta, births, looked, kept = self._placer.place(splats, frame.ids)
             low, high = axis_bounds(splats.means)
             self.low, self.high = np.minimum(self.low, low), np.maximum(self.high, high)
-            yield Placed(index, key, delta, self._placer.capacity, births, looked, rounded=codebooks(splats))
+            rounded = codebooks(splats)
+            yield Placed(index, key, delta, self._placer.capacity, births, looked, rounded=rounded, kept=kept)
 
     def _checked(self, looks: Iterable[tuple[int, Look]]) -> Iterator[tuple[str, Look]]:
         """Names of frames for errors, and the frames, which have one SH degree."""
@@ -138,34 +147,37 @@ class Placer:
 
     def place(
         self, splats: Splats, identities: NDArray[np.int64]
-    ) -> tuple[SourceDelta, NDArray[np.bool_], NDArray[np.bool_]]:
+    ) -> tuple[SourceDelta, NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
         """What the next frame [n], n >= 1, changes: its rows have persistent ``identities`` [n].
 
-        And of what it changes [m] which splats are new, and which look different, new ones included.
+        And of what it changes [m] which splats are new, which look different, new ones included, and which keep their
+        scales and colours.
         """
         last, self._last = self._last, (splats, identities)
         if last is not None and last[0] is splats and last[1] is identities:
             nothing = np.zeros(0, np.int32)
             none = np.zeros(0, bool)
-            return SourceDelta(nothing, splats.take(slice(0, 0)), nothing), none, none
+            return SourceDelta(nothing, splats.take(slice(0, 0)), nothing), none, none, none
         if self._table is None:
             order = morton_order(splats.means)
             splats, self._identities = splats.take(order), identities[order]
             self._table = SplatTable(splats)
             self._began, self._least = splats.means.copy(), float(np.percentile(_sizes(splats), SPECK))
             every = np.ones(len(splats), bool)
-            return SourceDelta(np.arange(len(splats), dtype=np.int32), splats, np.zeros(0, np.int32)), every, every
+            delta = SourceDelta(np.arange(len(splats), dtype=np.int32), splats, np.zeros(0, np.int32))
+            return delta, every, every, ~every
         ids, removed = self._ids(identities, splats)
         order = np.argsort(ids, kind="stable")
         ids, splats = ids[order], splats.take(order)
         new = ~self._table.holds(ids)
         looks = new | self._table.differs(ids, splats, LOOKS)
         differing = looks | self._table.differs(ids, splats, MOTION)
+        kept = ~(new | self._table.differs(ids, splats, LASTING))
         self._table.alive[removed] = False
         delta = SourceDelta(ids[differing], splats.take(differing), removed)
         self._table.put(delta.ids, delta.splats)
         self._begin(ids[new], splats.means[new])
-        return delta, new[differing], looks[differing]
+        return delta, new[differing], looks[differing], kept[differing]
 
     def _ids(self, identities: NDArray[np.int64], splats: Splats) -> tuple[Ids, Ids]:
         """Ids of this frame's rows (known ones keep theirs, new ones take free or fresh ids), and the ids that went."""

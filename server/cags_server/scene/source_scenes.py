@@ -1,8 +1,9 @@
 """Source frames in the renderer: a few scenes that roll forward with the media instead of being loaded anew.
 
 A scene holds one row for each splat id of its group of frames; ids that are not alive are transparent. Moving it to the
-next frame writes only the rows that changed. A scene in use by one client is shared by every client at the same frame;
-one at another frame moves an idle scene forward or loads a new one.
+next frame writes only the rows that changed, and of splats that keep their looks only where they are. A scene in use by
+one client is shared by every client at the same frame; one at another frame moves an idle scene forward or loads a new
+one.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ class _Rolling:
     gof: int
     target: int  # the frame that it is at, or is being moved to
     scene: RasterScene | None = None
+    splats: Splats | None = None  # [capacity] by id: what the scene holds
     current: int = -1
     users: int = 0
     moving: threading.Lock = field(default_factory=threading.Lock)
@@ -56,11 +58,17 @@ class SourceScenes:
     @contextmanager
     def at(self, frame: int) -> Iterator[RasterScene]:
         """A scene [capacity rows, by splat id] at ``frame``; it does not change while the context is open."""
+        with self._moved_to(frame) as rolling:
+            assert rolling.scene is not None
+            yield rolling.scene
+
+    @contextmanager
+    def _moved_to(self, frame: int) -> Iterator[_Rolling]:
         rolling = self._claim(self._content_frame(frame))
         try:
             with rolling.moving:  # those that share it wait for the one that loads or moves it
-                scene = self._moved(rolling)
-            yield scene
+                self._move(rolling)
+            yield rolling
         finally:
             self._release(rolling)
 
@@ -84,10 +92,14 @@ class SourceScenes:
         wanted, found = wanted.copy(), []
         for at in range(frame, max(start, frame - AHEAD_FRAMES), -1):
             delta = self._delta(at)
-            rows = np.flatnonzero(wanted[delta.ids])
-            found.append(delta.splats.take(rows))
-            wanted[delta.ids[rows]] = False
-        return Splats.concatenate(found) if found else _absent(0, self._reader.manifest.sh_degree)
+            for ids in (delta.ids, delta.moved.ids):
+                found.append(ids[wanted[ids]])
+                wanted[found[-1]] = False
+        if not sum(map(len, found)):
+            return _absent(0, self._reader.manifest.sh_degree)
+        with self._moved_to(frame) as rolling:
+            assert rolling.splats is not None
+            return rolling.splats.take(np.concatenate(found))
 
     def warm(self, frame: int) -> None:
         """Load the scene that the first viewer will look at, before anybody waits for it."""
@@ -124,27 +136,27 @@ class SourceScenes:
             for old in idle[: max(0, len(idle) - IDLE_SCENES)]:
                 self._scenes.remove(old)
 
-    def _moved(self, rolling: _Rolling) -> RasterScene:
-        """The scene at its target; called by one thread at a time."""
-        scene, goal = rolling.scene, rolling.target
-        if scene is None:
+    def _move(self, rolling: _Rolling) -> None:
+        """Move the scene to its target; called by one thread at a time."""
+        goal = rolling.target
+        if rolling.scene is None or rolling.splats is None:
             start = self._reader.manifest.gof_starts[rolling.gof]
             first = start if goal - start <= AHEAD_FRAMES else goal
-            scene = rolling.scene = self._loaded(first, self._delta(first) if first == start else None)
+            rolling.splats = self._splats(first, self._delta(first) if first == start else None)
+            rolling.scene = self._rasteriser.load(rolling.splats)
             rolling.current = first
         for frame in range(rolling.current + 1, goal + 1):
-            _apply(scene, self._delta(frame))
+            _apply(rolling.scene, rolling.splats, self._delta(frame))
         rolling.current = goal
-        return scene
 
-    def _loaded(self, frame: int, known: SourceDelta | None) -> RasterScene:
+    def _splats(self, frame: int, known: SourceDelta | None) -> Splats:
         """``known``: the start of a group, which holds everything, decoded when a loop was there before."""
         source = known or self._reader.source(frame)
         capacity = self._reader.manifest.capacity[self._reader.manifest.gof_of(frame)]
         everyone = _absent(capacity, source.splats.sh_degree)
         for (_, rows), (_, values) in zip(everyone.arrays(), source.splats.arrays(), strict=True):
             rows[source.ids] = values
-        return self._rasteriser.load(everyone)
+        return everyone
 
     def _content_frame(self, frame: int) -> int:
         """The newest frame up to ``frame`` that changes any source splat: what lies between looks the same."""
@@ -154,7 +166,7 @@ class SourceScenes:
             value = self._content.setdefault(known, known)
         for at in range(known + 1, frame + 1):
             delta = self._delta(at)
-            value = at if len(delta.ids) or len(delta.removed) else value
+            value = at if delta.changes else value
             with self._lock:
                 self._content[at] = value
         return value
@@ -170,15 +182,25 @@ class SourceScenes:
         return delta
 
 
-def _apply(scene: RasterScene, delta: SourceDelta) -> None:
-    if len(delta.removed):
-        scene.update(delta.removed, _absent(len(delta.removed), delta.splats.sh_degree))
+def _apply(scene: RasterScene, splats: Splats, delta: SourceDelta) -> None:
+    """Take a frame's changes into ``splats`` [capacity] and the scene that holds them."""
+    moved = delta.moved
+    splats.logit_opacities[delta.removed] = ABSENT_LOGIT
+    splats.means[moved.ids], splats.quats[moved.ids] = moved.means, moved.quats
+    splats.logit_opacities[moved.ids] = moved.logit_opacities
+    for (_, rows), (_, values) in zip(splats.arrays(), delta.splats.arrays(), strict=True):
+        rows[delta.ids] = values
+    elsewhere = np.union1d(delta.removed, moved.ids)
+    if len(elsewhere):
+        scene.move(elsewhere, splats)
     if len(delta.ids):
         scene.update(delta.ids, delta.splats)
 
 
 def _size(delta: SourceDelta) -> int:
-    return delta.ids.nbytes + delta.removed.nbytes + sum(array.nbytes for _, array in delta.splats.arrays())
+    m = delta.moved
+    arrays = (delta.ids, delta.removed, m.ids, m.means, m.quats, m.logit_opacities)
+    return sum(array.nbytes for array in (*arrays, *(values for _, values in delta.splats.arrays())))
 
 
 def _absent(count: int, sh_degree: int) -> Splats:

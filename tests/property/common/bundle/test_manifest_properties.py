@@ -20,7 +20,9 @@ from support.codec_scenes import books, cloud
 MANIFEST = Manifest("x", 30.0, 4, (0, 2), (9, 9), 0, ((0, 0, 0), (1, 1, 1)), (LodLayer("scale", 1),), (1.0,))
 TABLE = json.loads(MANIFEST.to_json())
 BOOKS = books((4, 2)).to_bytes()
-SOURCE = encode_source(SourceDelta(np.arange(0, 30, 3, dtype=np.int32), cloud(10), np.array([1, 2], np.int32)))
+SOURCE = encode_source(
+    SourceDelta(np.arange(0, 30, 3, dtype=np.int32), cloud(10), np.array([1, 2], np.int32)).keeping(np.arange(10) > 5)
+)
 QUICK = settings(max_examples=400, suppress_health_check=[HealthCheck.too_slow])
 
 leaves = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from cags_common.bundle import BundleReader, BundleWriter, LodLayer, Manifest, SourceDelta, TilePayloads
-from cags_common.bundle.source import decode_source, encode_source
+from cags_common.bundle.source import SourceState, decode_source, encode_source
 from cags_common.bundle.store import UrlStore
 from cags_common.bundle.writer import store_weights
+from cags_common.coding.packing import encode_ids
 from cags_common.errors import BundleError, CagsError, DecodeError
 from cags_common.tiles.payloads import PositionGrid, encode_base, encode_layer
 from support.codec_scenes import books, cloud
@@ -178,6 +179,70 @@ def test_source_frames_of_every_sh_degree_and_of_no_splats() -> None:
                 assert np.array_equal(a, b) and a.shape == b.shape
     with pytest.raises(DecodeError):
         decode_source(encode_source(delta)[:-3], "x")
+
+
+def moving_delta(degree: int = 3) -> tuple[SourceDelta, SourceDelta]:
+    """A frame of ten splats, and one in which two appear, two go and five move."""
+    first = SourceDelta(np.arange(10, dtype=np.int32), cloud(10, 1, degree), NOBODY)
+    ids = np.array([1, 2, 4, 5, 8, 10, 11], np.int32)
+    other = SourceDelta(ids, cloud(7, 2, degree), np.array([3, 9], np.int32))
+    kept = ids < 10
+    for (name, values), (_, before) in zip(other.splats.arrays(), first.splats.arrays(), strict=True):
+        if name not in ("means", "quats", "logit_opacities"):
+            values[kept] = before[ids[kept]]
+    return first, other.keeping(kept)
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_source_frames_hold_only_places_of_splats_that_keep_their_looks(degree: int) -> None:
+    first, moving = moving_delta(degree)
+    back = decode_source(encode_source(moving), "x")
+    assert (back.ids.tolist(), back.moved.ids.tolist(), back.removed.tolist()) == ([10, 11], [1, 2, 4, 5, 8], [3, 9])
+    assert back.changes
+    state = SourceState(12, degree)
+    state.apply(first)
+    state.apply(back)
+    now = state.frame()
+    assert now.ids.tolist() == [0, 1, 2, 4, 5, 6, 7, 8, 10, 11]
+    whole, still = cloud(7, 2, degree), cloud(10, 1, degree)
+    for name, values in now.splats.arrays():
+        new, old = getattr(whole, name), getattr(still, name)
+        places = name in ("means", "quats", "logit_opacities")
+        np.testing.assert_array_equal(values[[8, 9]], new[5:])
+        np.testing.assert_array_equal(values[[1, 2, 3, 4, 7]], new[:5] if places else old[[1, 2, 4, 5, 8]])
+        np.testing.assert_array_equal(values[[0, 5, 6]], old[[0, 6, 7]])
+
+
+def test_a_source_frame_that_moves_what_its_group_does_not_have_is_refused() -> None:
+    _, moving = moving_delta()
+    with pytest.raises(BundleError, match="id 11"):
+        SourceState(11, 3).apply(moving)
+    with pytest.raises(BundleError, match="id 8"):
+        SourceState(8, 3).apply(SourceDelta(NOBODY, cloud(0, 1, 3), NOBODY, moving.moved))
+
+
+def test_source_frames_of_whole_rows_are_still_read() -> None:
+    delta = SourceDelta(np.arange(6, dtype=np.int32), cloud(6, 1, 3), np.array([9], np.int32))
+    new = encode_source(delta)
+    ids, removed = encode_ids(delta.ids), encode_ids(delta.removed)
+    old = b"\x01" + new[1:16] + ids + removed + new[24 + len(ids) + len(removed) + len(encode_ids(NOBODY)) :]
+    back = decode_source(old, "x")
+    assert back.ids.tolist() == delta.ids.tolist() and back.removed.tolist() == [9] and not len(back.moved)
+    assert np.array_equal(back.splats.sh_rest, delta.splats.sh_rest)
+
+
+def test_damaged_source_frames_are_refused() -> None:
+    good = encode_source(moving_delta()[1])
+    for data, what in (
+        (good[:10], "cut short"),
+        (good[:20], "cut short"),
+        (b"\x03" + good[1:], "version 3"),
+        (good[:16] + b"\xff" * 4 + good[20:], "beyond what this program reads"),
+        (good[:16] + b"\x04\x00\x00\x00" + good[20:], "unpacks to more"),
+        (good[:16] + b"\x06\x00\x00\x00" + good[20:], "2 [+] 5 ids"),
+    ):
+        with pytest.raises((BundleError, DecodeError), match=f"^x: .*{what}"):
+            decode_source(data, "x")
 
 
 def test_weights_are_added_replaced_and_checked(url: str) -> None:

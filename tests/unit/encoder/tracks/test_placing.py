@@ -11,7 +11,7 @@ def test_ids_of_new_splats_lie_close_together_and_their_number_is_bounded() -> N
     identities, following = np.arange(count), count
     gaps = []
     for frame in range(24):
-        delta, births, _ = placer.place(cloud(count, frame), identities)
+        delta, births, *_ = placer.place(cloud(count, frame), identities)
         fresh = delta.ids[births]
         assert not np.isin(fresh, delta.removed).any()
         if frame > 12:
@@ -37,7 +37,7 @@ def test_who_gets_too_far_from_where_they_began_begins_anew() -> None:
         means = first.means.astype(np.float64)
         means[traveller, 0] += 0.4 * FARTHEST * max(size[traveller], least) * frame
         means[speck, 0] += 0.19 * FARTHEST * least * frame
-        delta, births, _ = placer.place(with_changes(first, means=means), np.arange(100))
+        delta, births, *_ = placer.place(with_changes(first, means=means), np.arange(100))
         if frame == 0:
             identity_of = np.argsort(np.abs(delta.splats.means[:, None] - first.means[None]).sum(axis=2), axis=1)[:, 0]
             continue
@@ -52,7 +52,23 @@ def test_a_frame_that_is_the_last_one_changes_nothing() -> None:
     placer, splats, identities = Placer(), cloud(50), np.arange(50)
     placer.place(splats, identities)
     for _ in range(2):
-        delta, births, looks = placer.place(splats, identities)
+        delta, births, looks, _ = placer.place(splats, identities)
         assert not len(delta.ids) and not len(delta.removed) and not len(births) and not len(looks)
     delta, *_ = placer.place(with_changes(splats, means=splats.means + np.float32(1)), identities)
     assert len(delta.ids) == 50
+
+
+def test_splats_that_keep_their_scales_and_colours_are_told() -> None:
+    placer, splats, identities = Placer(), cloud(50), np.arange(50)
+    *_, kept = placer.place(splats, identities)
+    assert not kept.any()
+    order = placer._identities  # splat i has id order.argsort()[i]
+    means, scales, logits = splats.means.copy(), splats.log_scales.copy(), splats.logit_opacities.copy()
+    means[:6] += 1
+    scales[4:9] += 1
+    logits[20:24] += 1
+    changed = with_changes(splats, means=means, log_scales=scales, logit_opacities=logits)
+    delta, births, _, kept = placer.place(changed, identities)
+    assert not births.any()
+    assert sorted(order[delta.ids]) == [*range(9), *range(20, 24)]
+    assert sorted(order[delta.ids[kept]]) == [0, 1, 2, 3, *range(20, 24)]

@@ -3,6 +3,7 @@ import threading
 import numpy as np
 import pytest
 
+from cags_common.bundle import SourceDelta
 from cags_common.errors import BundleError
 from cags_server.scene.source_scenes import IDLE_SCENES, SourceScenes
 from support.server_scene import FakeReader, FakeScene
@@ -165,3 +166,39 @@ def test_many_threads_see_their_own_frame() -> None:
     for thread in threads:
         thread.join()
     assert wrong == []
+
+
+class Moving(FakeReader):
+    """Splats 5 to 14 move and keep their looks."""
+
+    which = np.arange(5, 15, dtype=np.int32)
+
+    def source_delta(self, frame):
+        if frame in self.manifest.gof_starts:
+            return super().source_delta(frame)
+        truth = self.source(frame)
+        delta = SourceDelta(self.which, truth.splats.take(self.which), self.removed_ids(frame))
+        return delta.keeping(np.ones(len(self.which), bool))
+
+
+class Watched(FakeScene):
+    """Refuses to replace whole splats."""
+
+    def update(self, rows, splats):
+        raise AssertionError("splats that keep their looks are moved")
+
+
+def test_what_keeps_its_looks_is_moved_and_not_replaced() -> None:
+    reader, renderer = Moving(), Renderer()
+    renderer.load = Watched
+    scenes = SourceScenes(reader, renderer)
+    wanted = np.zeros(reader.manifest.capacity[0], bool)
+    wanted[[0, 6]] = True
+    for frame in (0, 1, 2, 3):
+        with scenes.at(frame) as scene:
+            truth = reader.source(frame).splats
+            np.testing.assert_array_equal(scene._splats.means[5:15], truth.means[5:15])
+            np.testing.assert_array_equal(scene._splats.sh0[5:15], truth.sh0[5:15])
+            assert (scene._splats.logit_opacities[39] < -10) == (frame >= 2)
+        found = scenes.changed(frame, wanted)
+        np.testing.assert_array_equal(found.means, truth.means[6:7] if frame else truth.means[:0])
