@@ -1,8 +1,8 @@
 """Source frames: the unquantised splats that reference pictures are rendered from (server side only).
 
-The first frame of a group holds all splats. Later ones hold whole rows of splats that appear or get other scales or
-colours, position, rotation and opacity of others that differ in any bit, and the ids that went. Lossless: float32 byte
-planes, gzipped.
+The first frame of a group holds all splats. Each later one holds what changed: all values of splats that appear or
+whose scales or colours differ, position, rotation and opacity of splats that differ in these alone, and the ids of
+splats that went. Lossless: float32 byte planes, gzipped.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _HEADER = struct.Struct("<BBxxIII")  # version, SH degree, splats, bytes of ids,
 _MOVED = struct.Struct("<II")  # splats that keep their scales and colours, bytes of their ids
 _VERSION = 2
 _WHOLE_ROWS = 1
-"""Version without moved splats: every row is whole."""
+"""Earlier version, without moved splats: all values of every splat that differs."""
 
 _PLACE = [*range(7), 10]
 """Columns of position, rotation and opacity."""
@@ -44,7 +44,7 @@ class SourceFrame:
 
 @dataclass(frozen=True, eq=False)
 class Moved:
-    """Splats that keep their scales and colours."""
+    """Splats whose scales and colours are those of the frame before."""
 
     ids: Ids  # [K] ascending
     means: F32  # [K, 3] world, metres
@@ -68,7 +68,7 @@ class SourceDelta:
     splats: Splats  # [M]
     removed: Ids  # [R] ascending
     moved: Moved = NOTHING_MOVED
-    """Others, none of them in ``ids``."""
+    """Splats that only moved or faded; none of them is in ``ids``."""
 
     @property
     def changes(self) -> bool:
@@ -76,10 +76,12 @@ class SourceDelta:
         return bool(len(self.ids) or len(self.removed) or len(self.moved))
 
     def keeping(self, kept: NDArray[np.bool_]) -> SourceDelta:
-        """The same with those of ``ids`` that are ``kept`` [M], which have the scales and colours of before, moved."""
-        rows = np.flatnonzero(kept)
+        """The same change, with the splats that are ``kept`` [M] among ``moved``.
+
+        Their scales and colours must be those of the frame before. Expects that nothing has moved yet.
+        """
         s = self.splats
-        moved = Moved(self.ids[rows], s.means[rows], s.quats[rows], s.logit_opacities[rows])
+        moved = Moved(self.ids[kept], s.means[kept], s.quats[kept], s.logit_opacities[kept])
         return SourceDelta(self.ids[~kept], s.take(~kept), self.removed, moved)
 
 
@@ -107,14 +109,12 @@ def decode_source(data: bytes | memoryview, what: str) -> SourceDelta:
         raise BundleError(
             f"{what}: version {version}, SH degree {degree}, {count + moved} splats; beyond what this program reads"
         )
-    lists = []
-    for size in (id_bytes, removed_bytes, moved_bytes)[: 2 if version == _WHOLE_ROWS else 3]:
-        lists.append(decode_ids(view[:size], what=what))
-        view = view[size:]
-    ids, removed, moving = lists if len(lists) == 3 else (*lists, NOTHING_MOVED.ids)
+    ids, view = decode_ids(view[:id_bytes], what=what), view[id_bytes:]
+    removed, view = decode_ids(view[:removed_bytes], what=what), view[removed_bytes:]
+    moving = NOTHING_MOVED.ids if version == _WHOLE_ROWS else decode_ids(view[:moved_bytes], what=what)
     width = 14 + 3 * SH_REST_OF_DEGREE[degree]
     whole, places = 4 * width * count, 4 * len(_PLACE) * moved
-    raw = gunzip_bounded(view, whole + places, what)
+    raw = gunzip_bounded(view[moved_bytes:], whole + places, what)
     if (len(ids), len(moving), len(raw)) != (count, moved, whole + places):
         raise BundleError(
             f"{what}: holds {len(ids)} + {len(moving)} ids and {len(raw)} bytes of values for {count} + {moved} splats"

@@ -23,7 +23,10 @@ MOTION = ("means", "quats")
 """Columns of splats that chunks of motion code."""
 
 LOOKS = ("log_scales", "logit_opacities", "sh0", "sh_rest")
+"""The other columns."""
+
 LASTING = ("log_scales", "sh0", "sh_rest")
+"""Columns that source frames leave out for splats that keep them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +74,11 @@ class Placed:
     rounded: Mapping[str, F32] = field(default_factory=dict)
     """Column of splats -> values that the source rounds it to (:mod:`cags_encoder.tracks.rounding`)."""
     kept: NDArray[np.bool_] | None = None
-    """[m] which keep the scales and colours that they had; None: none."""
+    """[m] which have the scales and colours of the frame before; None: none."""
 
     @property
     def source(self) -> SourceDelta:
-        """The delta as the bundle's source holds it: of those that keep their looks, only where they are."""
+        """The delta as a source frame stores it: splats that are ``kept`` without their scales and colours."""
         return self.delta if self.kept is None else self.delta.keeping(self.kept)
 
 

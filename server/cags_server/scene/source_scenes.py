@@ -1,9 +1,9 @@
 """Source frames in the renderer: a few scenes that roll forward with the media instead of being loaded anew.
 
 A scene holds one row for each splat id of its group of frames; ids that are not alive are transparent. Moving it to the
-next frame writes only the rows that changed, and of splats that keep their looks only where they are. A scene in use by
-one client is shared by every client at the same frame; one at another frame moves an idle scene forward or loads a new
-one.
+next frame writes only the rows that changed; splats that keep their scales and colours are moved and not replaced. A
+scene in use by one client is shared by every client at the same frame; one at another frame moves an idle scene forward
+or loads a new one.
 """
 
 from __future__ import annotations
@@ -89,17 +89,18 @@ class SourceScenes:
         ``frame``, as of their last change; none of those that a group of frames begins with.
         """
         start = self._reader.manifest.gof_starts[self._reader.manifest.gof_of(frame)]
-        wanted, found = wanted.copy(), []
+        wanted, found = wanted.copy(), [np.zeros(0, np.int32)]
         for at in range(frame, max(start, frame - AHEAD_FRAMES), -1):
             delta = self._delta(at)
             for ids in (delta.ids, delta.moved.ids):
                 found.append(ids[wanted[ids]])
                 wanted[found[-1]] = False
-        if not sum(map(len, found)):
+        rows = np.concatenate(found)
+        if not len(rows):
             return _absent(0, self._reader.manifest.sh_degree)
         with self._moved_to(frame) as rolling:
             assert rolling.splats is not None
-            return rolling.splats.take(np.concatenate(found))
+            return rolling.splats.take(rows)
 
     def warm(self, frame: int) -> None:
         """Load the scene that the first viewer will look at, before anybody waits for it."""
@@ -150,7 +151,7 @@ class SourceScenes:
         rolling.current = goal
 
     def _splats(self, frame: int, known: SourceDelta | None) -> Splats:
-        """``known``: the start of a group, which holds everything, decoded when a loop was there before."""
+        """All splats [capacity] of ``frame``, by id; ``known``: what it holds, where that has been decoded already."""
         source = known or self._reader.source(frame)
         capacity = self._reader.manifest.capacity[self._reader.manifest.gof_of(frame)]
         everyone = _absent(capacity, source.splats.sh_degree)
@@ -183,16 +184,16 @@ class SourceScenes:
 
 
 def _apply(scene: RasterScene, splats: Splats, delta: SourceDelta) -> None:
-    """Take a frame's changes into ``splats`` [capacity] and the scene that holds them."""
+    """Apply a frame's changes to ``splats`` [capacity] and to the scene that draws them."""
     moved = delta.moved
     splats.logit_opacities[delta.removed] = ABSENT_LOGIT
     splats.means[moved.ids], splats.quats[moved.ids] = moved.means, moved.quats
     splats.logit_opacities[moved.ids] = moved.logit_opacities
     for (_, rows), (_, values) in zip(splats.arrays(), delta.splats.arrays(), strict=True):
         rows[delta.ids] = values
-    elsewhere = np.union1d(delta.removed, moved.ids)
-    if len(elsewhere):
-        scene.move(elsewhere, splats)
+    without_looks = np.union1d(delta.removed, moved.ids)
+    if len(without_looks):
+        scene.move(without_looks, splats)
     if len(delta.ids):
         scene.update(delta.ids, delta.splats)
 
