@@ -2,7 +2,8 @@
 
 The first frame of a group holds all splats. Each later one holds what changed: all values of splats that appear or
 whose scales or colours differ, position, rotation and opacity of splats that differ in these alone, and the ids of
-splats that went. Lossless: float32 byte planes, gzipped.
+splats that went. Lossless: float32 byte planes in gzip, where those that
+deflate does not shorten are stored.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.coding.packing import decode_ids, encode_ids, gunzip_bounded, gzip_bytes
+from cags_common.coding.packing import decode_ids, encode_ids, gunzip_bounded, gzip_planes
 from cags_common.errors import BundleError
 from cags_common.geometry import F32
 from cags_common.splats import MAX_SPLATS, SH_REST_OF_DEGREE, Ids, Splats
@@ -91,7 +92,7 @@ def encode_source(delta: SourceDelta) -> bytes:
     header = _HEADER.pack(_VERSION, delta.splats.sh_degree, len(delta.ids), len(ids), len(removed))
     header += _MOVED.pack(len(delta.moved), len(moving))
     planes = _to_planes(_matrix(delta.splats)) + _to_planes(_places(delta.moved))
-    return header + ids + removed + moving + gzip_bytes(planes, _FAST)
+    return header + ids + removed + moving + gzip_planes(planes, _FAST)
 
 
 def decode_source(data: bytes | memoryview, what: str) -> SourceDelta:
@@ -175,10 +176,11 @@ def _splats(rows: F32) -> Splats:
     return Splats(part(0, 3), part(3, 7), part(7, 10), part(10, 11)[:, 0].copy(), part(11, 14), rest)
 
 
-def _to_planes(rows: F32) -> bytes:
+def _to_planes(rows: F32) -> list[memoryview]:
     """Bytes of one significance together, column by column: neighbours in Morton order share their high bytes."""
     words = np.ascontiguousarray(rows.T, dtype="<f4")
-    return np.ascontiguousarray(words.view(np.uint8).reshape(rows.shape[1], -1, 4).transpose(0, 2, 1)).tobytes()
+    planes = np.ascontiguousarray(words.view(np.uint8).reshape(rows.shape[1], -1, 4).transpose(0, 2, 1))
+    return [plane.data for plane in planes.reshape(-1, len(rows))] if len(rows) else []
 
 
 def _from_planes(raw: bytes | memoryview, count: int, width: int) -> F32:

@@ -2,6 +2,8 @@ import gzip
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from cags_common.coding.packing import (
     check_crc,
@@ -10,6 +12,7 @@ from cags_common.coding.packing import (
     encode_ids,
     gunzip_bounded,
     gzip_bytes,
+    gzip_planes,
     squeeze,
     unsqueeze,
 )
@@ -29,6 +32,20 @@ def test_gunzip_stops_at_its_limit_and_refuses_damage() -> None:
     for bad in (data[:-1], data + b"!", b"", b"nonsense"):
         with pytest.raises(DecodeError):
             gunzip_bounded(bad, 10_000, "x")
+
+
+@given(st.lists(st.one_of(st.binary(max_size=300), st.integers(0, 300).map(bytes)), max_size=6))
+def test_planes_come_back_as_ordinary_gzip(planes: list[bytes]) -> None:
+    data = gzip_planes([memoryview(plane) for plane in planes], 1)
+    assert gzip.decompress(data) == gunzip_bounded(data, 2000, "x") == b"".join(planes)
+    assert data == gzip_planes([memoryview(plane) for plane in planes], 1)
+
+
+def test_planes_that_do_not_shrink_are_stored() -> None:
+    noise, zeros = np.random.default_rng(0).bytes(50_000), bytes(50_000)
+    data = gzip_planes([memoryview(noise), memoryview(zeros)], 1)
+    assert noise in data
+    assert len(data) < 50_500
 
 
 def test_unsqueeze_takes_back_what_squeeze_made_and_nothing_else() -> None:
