@@ -191,9 +191,10 @@ def _apply(scene: RasterScene, splats: Splats, delta: SourceDelta) -> None:
     splats.logit_opacities[moved.ids] = moved.logit_opacities
     for (_, rows), (_, values) in zip(splats.arrays(), delta.splats.arrays(), strict=True):
         rows[delta.ids] = values
-    without_looks = np.union1d(delta.removed, moved.ids)
-    if len(without_looks):
-        scene.move(without_looks, splats)
+    without_looks = np.zeros(len(splats), bool)
+    without_looks[delta.removed] = without_looks[moved.ids] = True
+    if without_looks.any():
+        scene.move(np.flatnonzero(without_looks), splats)
     if len(delta.ids):
         scene.update(delta.ids, delta.splats)
 

@@ -50,7 +50,9 @@ class ShownLooks:
         counts = np.bincount(shown[shown >= 0])
         there = np.flatnonzero(counts)
         late = np.flatnonzero((shown != owners) & (shown >= 0) & (owners >= 0))
-        (older, newer), sizes = np.unique(np.stack([shown[late], owners[late]]), axis=1, return_counts=True)
+        tiles = int(owners.max(initial=0)) + 1
+        pairs, sizes = np.unique(shown[late].astype(np.int64) * tiles + owners[late], return_counts=True)
+        older, newer = (each.astype(np.int32) for each in np.divmod(pairs, tiles))
         return ShownLooks(there.astype(np.int32), counts[there], older, newer, sizes)
 
 
@@ -161,12 +163,13 @@ class StaleSplats:
         """As :meth:`added_to`, of ``splats`` [n], ascending, that contribute ``weights`` [n]; all others nothing."""
         if not len(self._ids) or self._library.manifest.gof_of(frame) != self._gof:
             return splats, weights
-        both = np.union1d(splats, self._ids)
-        out = np.zeros(len(both), np.float32)
-        out[np.searchsorted(both, splats)] = weights
-        stale = np.searchsorted(both, self._ids)
-        out[stale] = np.maximum(out[stale], self._values)
-        return both, out
+        every = np.zeros(1 + int(max(splats.max(initial=0), self._ids[-1])), np.float32)
+        every[splats] = weights
+        every[self._ids] = np.maximum(every[self._ids], self._values)
+        counted = np.zeros(len(every), bool)
+        counted[splats] = counted[self._ids] = True
+        both = np.flatnonzero(counted)
+        return both, every[both]
 
     def update(self, contribution: F32, frame: int, inventory: ClientInventory) -> None:
         """After ``frame`` was planned: visible and stale splats that are neither held nor in flight are stale now."""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import cast
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from cags_common.geometry import Camera, Pose
 from cags_common.tiles.kinds import TileKind
@@ -48,6 +51,18 @@ def shown_ids(scene: SceneLibrary, keys: list[tuple[int, int]]) -> np.ndarray:
     for key in keys:
         out[scene.tile_ids(*key)] = scene.tile_map(0).number(*key)
     return out
+
+
+@given(st.lists(st.tuples(st.integers(-1, 5), st.integers(-1, 5)), max_size=40))
+def test_what_is_shown_is_counted_by_pairs_of_its_tile_and_the_one_that_replaces_it(
+    splats: list[tuple[int, int]],
+) -> None:
+    found = ShownLooks.of(*np.array(splats, np.int32).reshape(-1, 2).T)
+    late = Counter((old, new) for old, new in splats if old != new and old >= 0 and new >= 0)
+    pairs = zip(found.older.tolist(), found.newer.tolist(), found.sizes.tolist(), strict=True)
+    assert list(pairs) == [(*pair, late[pair]) for pair in sorted(late)]
+    there = Counter(old for old, _ in splats if old >= 0)
+    assert dict(zip(found.there.tolist(), found.counts.tolist(), strict=True)) == there
 
 
 def test_newer_motion_of_what_is_shown_in_view_counts_as_visible(scene: SceneLibrary) -> None:
