@@ -393,7 +393,8 @@ class ClientPipeline:
         if len(committed.rows):
             changed = store.splats.take(committed.rows)
             self._scene.update(committed.rows, changed)
-            self._sh_degree = max(self._sh_degree, held_sh_degree(changed.sh_rest))
+            if self._sh_degree < self.info.sh_degree:
+                self._sh_degree = max(self._sh_degree, held_sh_degree(changed.sh_rest))
         return self._scene
 
     def _options(self, plan: PassPlan) -> RenderOptions:

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 import cags_kernels
 from cags_common.geometry import F32, F64
 from cags_common.motion.chunk import Chunk
+from cags_common.motion.fades import faded
 from cags_common.motion.knots import FRACTION_BITS, I32
-from cags_common.motion.parts import InMotion, in_motion
+from cags_common.motion.parts import in_motion
 from cags_common.runtime.threads import threads_for_rows
 
 ABSENT_LOGIT = np.float32(-30.0)
@@ -50,7 +51,7 @@ class Looks:
 class MovingTile:
     """One tile's part of :func:`move_rows`. A splat belongs to one tile at most.
 
-    Only the time may change between calls; what the kernel takes of the rest is made once.
+    Only the time may change between calls, and which rows are left out; what the kernel takes of the rest is made once.
     """
 
     chunk: Chunk
@@ -64,18 +65,48 @@ class MovingTile:
     """See :meth:`in_motion`; None: all of it."""
     parted: bool = False
     """Whether :attr:`part` has been made."""
+    ended: int = -1
+    """Frame of the chunk up to which rows of splats that have ended are left out; -1: none are."""
 
-    def in_motion(self) -> MovingTile:
-        """The part of the tile that is elsewhere at another time of its chunk: all others keep what any evaluation gave
-        them, bit by bit. The tile itself where that is most of it.
+    def in_motion(self, since: float) -> MovingTile:
+        """The part of the tile that the way from ``since``, of the same chunk, to the tile's time changes: all others
+        keep what an evaluation at ``since`` gave them, bit by bit. The tile itself where that is all of it.
         """
         if not self.parted:
-            of = in_motion(self.chunk)
-            self.part, self.parted = None if of is None else _part(self, of), True
+            self.part, self.parted = self._part(), True
         if self.part is None:
             return self
         self.part.time = self.time
+        self._leave_out_ended(self.part, min(since, self.time))
         return self.part
+
+    def leave_out(self, those: NDArray[np.bool_]) -> None:
+        """From now on the tile is without ``those`` [n] of its splats."""
+        self.rows[those] = -1
+        if self.part is not None:
+            of = in_motion(self.chunk)
+            self.part.rows[those if of is None else those[of.splats]] = -1
+
+    def _part(self) -> MovingTile | None:
+        """What moves, fades or ends at some time of the chunk, with rows of its own; None: all, and nothing ends."""
+        of, chunk = in_motion(self.chunk), self.chunk
+        if of is not None:
+            steps = Steps(self.steps.moves[of.splats], self.steps.turns[of.splats])
+            return MovingTile(of.chunk, self.time, self.rows[of.splats], steps)
+        if chunk.lives is None or not (chunk.lives <= chunk.span).any():
+            return None
+        return MovingTile(chunk, self.time, self.rows.copy(), self.steps)
+
+    def _leave_out_ended(self, part: MovingTile, time: float) -> None:
+        """Leave out rows of ``part`` whose splats have ended by ``time``, and no others."""
+        lives, until = part.chunk.lives, min(max(int(time), 0), part.chunk.span)
+        if lives is None or until == part.ended:
+            return
+        if until < part.ended:
+            of = in_motion(self.chunk)
+            part.rows[:] = self.rows if of is None else self.rows[of.splats]
+        part.ended = until
+        part.rows[lives <= until] = -1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,14 +120,8 @@ class _Prepared:
         return self.native
 
 
-def _part(tile: MovingTile, of: InMotion) -> MovingTile:
-    """The splats in motion of a tile."""
-    steps = Steps(tile.steps.moves[of.splats], tile.steps.turns[of.splats])
-    return MovingTile(of.chunk, tile.time, tile.rows[of.splats], steps)
-
-
 def evaluate(chunk: Chunk, time: float, looks: Looks, steps: Steps) -> Looks:
-    """The splats [n] of a tile ``time`` frames after the chunk's first, held at its span's end.
+    """The splats [n] of a tile ``time`` frames after the chunk's first, held at its span's end and at their own.
 
     ``looks`` are the tile's own, as decoded. Between two frames positions follow the line through both, and rotations
     the normalised one. Raises ``ValueError`` for a time that is not a number.
@@ -106,10 +131,10 @@ def evaluate(chunk: Chunk, time: float, looks: Looks, steps: Steps) -> Looks:
         at, rotated = looks.means.astype(np.float64), looks.quats
         if chunk.moves is not None:
             unit = units[0].astype(np.float64) / (1 << FRACTION_BITS)
-            at = at + _between(chunk.moves, moment) * unit[:, None]
+            at = at + _told(chunk, chunk.moves, moment) * unit[:, None]
         if chunk.turns is not None:
             unit = units[1].astype(np.float64) / (1 << FRACTION_BITS)
-            turn = _between(chunk.turns, moment) * unit[:, None]
+            turn = _told(chunk, chunk.turns, moment) * unit[:, None]
             turn[:, 0] += 1.0
             rotated = _canonical(product(_unit(turn), looks.quats.astype(np.float64)))
         return Looks(at.astype(np.float32), rotated, opacities(chunk, moment.time, looks.logit_opacities))
@@ -127,7 +152,11 @@ def move_rows(
     for tile in tiles:
         _check_tile(tile, len(looks.means))
     if cags_kernels.native_available() if native is None else native:
-        _move_natively(tiles, looks, into, threads)
+        from cags_kernels import motion
+
+        given, out = ((a.means, a.quats, a.logit_opacities) for a in (looks, into))
+        threads = threads_for_rows(sum(tile.chunk.splats for tile in tiles), threads)
+        motion.move_rows([_kernel_tile(tile) for tile in tiles], given, out, threads)
         return
     for tile in tiles:
         mine = np.flatnonzero(tile.rows >= 0)
@@ -135,20 +164,6 @@ def move_rows(
         into.means[rows] = moved.means[mine]
         into.quats[rows] = moved.quats[mine]
         into.logit_opacities[rows] = moved.logit_opacities[mine]
-
-
-def _move_natively(tiles: Sequence[MovingTile], looks: Looks, into: Looks, threads: int) -> None:
-    """By the kernel, but for the opacities of tiles with fades: logarithms differ from processor to processor."""
-    from cags_kernels import motion
-
-    given, out = ((a.means, a.quats, a.logit_opacities) for a in (looks, into))
-    threads = threads_for_rows(sum(tile.chunk.splats for tile in tiles), threads)
-    motion.move_rows([_kernel_tile(tile) for tile in tiles], given, out, threads)
-    for tile in tiles:
-        if tile.chunk.fades is not None:
-            logits = looks.logit_opacities[np.maximum(tile.rows, 0)]
-            mine, faded_ = tile.rows >= 0, opacities(tile.chunk, moment_of(tile.chunk, tile.time).time, logits)
-            into.logit_opacities[tile.rows[mine]] = faded_[mine]
 
 
 def _kernel_tile(tile: MovingTile) -> Any:
@@ -169,7 +184,7 @@ def _tile_motion(tile: MovingTile, moment: Moment) -> Any:
         *(chunk.splats, chunk.span, moment.time, moment.sample, moment.share, tile.rows, chunk.moves, chunk.turns),
         *_units(chunk, tile.steps),
         chunk.lives,
-        chunk.fades is not None,
+        chunk.fades,
     )
 
 
@@ -205,6 +220,15 @@ def moment_of(chunk: Chunk, time: float) -> Moment:
     time = min(max(time, 0.0), float(chunk.span))
     sample = min(int(time), chunk.span - 1)
     return Moment(time, sample, time - sample)
+
+
+def _told(chunk: Chunk, samples: I32, moment: Moment) -> F64:
+    """What ``samples`` say [n, parts] at ``moment``; of splats that have ended, at their end."""
+    out = _between(samples, moment)
+    ended = np.flatnonzero(~alive(chunk, moment.time))
+    if chunk.lives is not None and len(ended):
+        out[ended] = samples[chunk.lives[ended], ended]
+    return out
 
 
 def _between(samples: I32, moment: Moment) -> F64:
@@ -259,19 +283,5 @@ def alive(chunk: Chunk, time: float) -> NDArray[np.bool_]:
     """Whether each splat [n] is there: before the last frame of its life has passed."""
     if chunk.lives is None:
         return np.ones(chunk.splats, bool)
-    there: NDArray[np.bool_] = (chunk.lives.astype(np.float64) > time) | (chunk.lives == chunk.span + 1)
+    there: NDArray[np.bool_] = (chunk.lives > int(time)) | (chunk.lives == chunk.span + 1)
     return there
-
-
-def faded(fades: F32, time: float, logits: F32) -> F32:
-    """Opacity logits [n] after fades [n, 2]: opacities times a Gaussian of the time."""
-    rows = np.flatnonzero(np.isfinite(fades[:, 1]))
-    if not len(rows):
-        return logits
-    away = (np.float64(time) - fades[rows, 0]) / fades[rows, 1]
-    with np.errstate(over="ignore", under="ignore"):
-        opacity = np.exp(-0.5 * away * away) / (1.0 + np.exp(-logits[rows].astype(np.float64)))
-    inside = np.clip(opacity, 1e-9, 1 - 1e-7)
-    out = logits.copy()
-    out[rows] = np.log(inside / (1.0 - inside)).astype(np.float32)
-    return out

@@ -59,6 +59,8 @@ class Slot:
     """Units of the tile's motion; None for a tile that never moves."""
     rows: I32 | None = None
     """[n] ids of the splats that the tile still owns, -1 for the others; None: to be recomputed."""
+    lost: bool = False
+    """Whether :attr:`rows` names splats that the tile does not own any more."""
 
     @property
     def frame(self) -> int:
@@ -88,14 +90,21 @@ class _Motion:
 
     def tile_at(self, start: int, time: float, rows: I32, steps: Steps) -> MovingTile:
         """The splats of ``rows`` to evaluate at ``time``: all of them, or, if the same chunk is displayed, those in
-        motion. Recomputed only if something other than the time has changed.
+        motion that have not ended. Recomputed only if something other than the time has changed.
         """
         chunk, tile = self.chunks[start], self._tile
         if tile is None or tile.chunk is not chunk or tile.rows is not rows or tile.steps is not steps:
             tile = self._tile = MovingTile(chunk, time - start, rows, steps)
         tile.time = time - start
-        again = self.shown is not None and self.shown[0] == start and not self.dirty
-        return tile.in_motion() if again else tile
+        if self.shown is None or self.shown[0] != start or self.dirty:
+            return tile
+        return tile.in_motion(0.0 if self.updated else self.shown[1] - start)
+
+    def leave_out(self, rows: I32, those: NDArray[np.bool_]) -> None:
+        """From now on ``rows`` [n], which :meth:`tile_at` is given, are without ``those`` [n]."""
+        rows[those] = -1
+        if self._tile is not None and self._tile.rows is rows:
+            self._tile.leave_out(those)
 
     def release(self) -> None:
         """Free what is worked out for its evaluation."""
@@ -198,7 +207,7 @@ class SplatBuffer:
         for motion in self._motions.values():
             motion.shown, motion.dirty = None, True
         for slot in self.slots:
-            slot.rows, slot.ended = None, False
+            slot.rows, slot.lost, slot.ended = None, False, False
 
     # ------------------------------------------------------------------------------------------------------------ looks
 
@@ -213,7 +222,7 @@ class SplatBuffer:
 
     def write(self, slot: Slot, lod: int, ids: Ids, splats: Splats) -> Ids:
         """Show a tile of looks at ``lod``: ``splats`` [n] by ``ids`` [n]. Returns the ids that the tile owns."""
-        slot.ids, slot.rows = ids, None
+        slot.ids, slot.rows, slot.lost = ids, None, False
         mine = self.owner[ids] == slot.index
         newer = (self._source[ids] < slot.frame) & (self._removed_at[ids] <= slot.frame)
         newer |= self._of_later_tiles(slot, ids)
@@ -274,7 +283,7 @@ class SplatBuffer:
         counts = np.bincount(owners[owners >= 0], minlength=0)
         for index in np.nonzero(counts)[0]:
             slot = self.slots[index]
-            slot.rows = None
+            slot.lost = True
             slot.owned -= int(counts[index])
             if not slot.owned:
                 self._on_replaced(slot)
@@ -402,6 +411,9 @@ class SplatBuffer:
                 continue
             if slot.rows is None:
                 slot.rows = np.where(self.owner[slot.ids] == slot.index, slot.ids, -1).astype(np.int32)
+            elif slot.lost:
+                motion.leave_out(slot.rows, self.owner[slot.ids] != slot.index)
+            slot.lost = False
             tiles.append(motion.tile_at(start, time, slot.rows, slot.steps))
             slot.ended = time >= motion.ends[start] and _ends_all(motion.chunks[start])
             motion.shown, motion.dirty, motion.updated = (start, time), False, False

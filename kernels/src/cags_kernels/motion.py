@@ -50,10 +50,10 @@ class _Tree(ctypes.Structure):
 @native("CagsMotionTile")
 class _Tile(ctypes.Structure):
     _fields_ = [
-        *((name, _int32) for name in ("splats", "span", "sample", "fades")),
+        *((name, _int32) for name in ("splats", "span", "sample")),
         *((name, _double) for name in ("time", "share")),
-        *((name, _Pointer) for name in ("rows", "moves", "turns", "move_steps", "turn_steps", "lives")),
-        ("lengths", _int64 * 6),
+        *((name, _Pointer) for name in ("rows", "moves", "turns", "move_steps", "turn_steps", "lives", "fades")),
+        ("lengths", _int64 * 7),
     ]
 
 
@@ -232,8 +232,7 @@ class TileMotion:
     move_steps: F32  # [splats]
     turn_steps: F32  # [splats]
     lives: U8 | None  # [splats]
-    fades: bool
-    """Whether the opacities are left alone."""
+    fades: F32 | None  # [splats, 2]
 
     def structure(self) -> _Tile:
         """What the library takes; valid while ``self`` lives. Raises ``ValueError`` for arrays that do not fit."""
@@ -245,8 +244,9 @@ class TileMotion:
             _fitting(self.move_steps, np.float32, (n,)),
             _fitting(self.turn_steps, np.float32, (n,)),
             _fitting(self.lives, np.uint8, (n,)),
+            _fitting(self.fades, np.float32, (n, 2)),
         )
-        return _Tile(n, self.span, self.sample, int(self.fades), self.time, self.share, *fields(*arrays))
+        return _Tile(n, self.span, self.sample, self.time, self.share, *fields(*arrays))
 
 
 def move_rows(

@@ -158,8 +158,8 @@ def decode_tree() -> tuple[np.ndarray, np.ndarray]:
 def move_rows() -> np.ndarray:
     steps, row = np.ones(SPLATS, np.float32), np.arange(SPLATS, dtype=np.int32)
     moves, turns = (np.ones((SPAN + 1, SPLATS, parts), np.int32) for parts in (3, 4))
-    lives = np.full(SPLATS, 3, np.uint8)
-    tile = motion.TileMotion(SPLATS, SPAN, 1.0, 1, 0.0, row, moves, turns, steps, steps, lives, False)
+    lives, fades = np.full(SPLATS, 3, np.uint8), np.ones((SPLATS, 2), np.float32)
+    tile = motion.TileMotion(SPLATS, SPAN, 1.0, 1, 0.0, row, moves, turns, steps, steps, lives, fades)
     looks, into = ([np.ones((SPLATS, *shape), np.float32) for shape in ((3,), (4,), ())] for _ in range(2))
     motion.move_rows([tile], tuple(looks), tuple(into), 1)
     return np.concatenate([array.ravel() for array in into])
@@ -178,7 +178,7 @@ ENTRIES: dict[str, tuple[Callable[[], Any], int, tuple[str, ...]]] = {
     "cags_motion_neighbours": (neighbours, 4, ()),
     "cags_motion_decode_tree": (decode_tree, 7, ("argument 3",)),
     "cags_motion_encode_tree": (encode_tree, 10, ()),
-    "cags_motion_rows": (move_rows, 12, ()),
+    "cags_motion_rows": (move_rows, 13, ()),
 }
 """What calls it; how many lengths it takes; those of arrays that may be longer: tables beyond the codes, runs and
 lanes, of which there may be any number, and escapes that are left over."""

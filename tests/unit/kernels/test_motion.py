@@ -154,7 +154,7 @@ def motion_of(**changes: Any) -> Any:
 
     steps = np.ones(SPLATS, np.float32)
     still = TileMotion(
-        *(SPLATS, SPAN, 1.0, 1, 0.0, np.arange(SPLATS, dtype=np.int32)), None, None, steps, steps, None, False
+        *(SPLATS, SPAN, 1.0, 1, 0.0, np.arange(SPLATS, dtype=np.int32)), None, None, steps, steps, None, None
     )
     return replace(still, **changes)
 

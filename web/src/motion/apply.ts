@@ -8,8 +8,7 @@ import { partOf, pick, restless } from "./parts.ts";
 export const ABSENT_LOGIT = -30;
 
 /** Sizes of the kernel's structures, and where the lengths of their arrays begin (`cags_motion.h`, pointers of 4 bytes). */
-const [TILE_BYTES, TILE_LENGTHS, ARRAYS_BYTES, ARRAYS_LENGTHS] = [104, 56, 80, 32];
-const fround = Math.fround;
+const [TILE_BYTES, TILE_LENGTHS, ARRAYS_BYTES, ARRAYS_LENGTHS] = [120, 64, 80, 32];
 
 /** Addresses in the kernels' memory of columns by id. */
 export interface MovingColumns {
@@ -25,28 +24,35 @@ export class MovingTile {
   time = 0;
   readonly chunk: Chunk;
   readonly rows: Int32Array;
-  /** Those of `rows` that are the tile's, ascending. */
-  readonly owned: Int32Array;
+  /** Those of `rows` that are the tile's and not left out, ascending. */
+  owned: Int32Array;
   readonly steps: Steps;
   private readonly kernels: Kernels;
   private readonly blocks: number[] = [];
   private part: MovingTile | undefined;
+  private readonly rowsAt: number;
+  /** Splats of the tile's own rows, by their rows. */
+  private readonly byRow: Int32Array;
+  /** Frame of the chunk up to which splats that have ended are left out; -1: none are. */
+  private ended = -1;
   private readonly structure = new DataView(new ArrayBuffer(TILE_BYTES));
 
   constructor(kernels: Kernels, chunk: Chunk, rows: Int32Array, steps: Steps) {
     this.kernels = kernels;
     this.chunk = chunk;
     this.rows = rows;
-    this.owned = rows.filter((row) => row >= 0).sort();
+    this.byRow = Int32Array.from(rows.keys()).filter((i) => rows[i]! >= 0).sort((a, b) => rows[a]! - rows[b]!);
+    this.owned = pick(rows, this.byRow);
     this.steps = steps;
     const [moveUnits, turnUnits] = units(chunk, steps);
     const s = this.structure;
-    [chunk.splats, chunk.span, 0, chunk.fades ? 1 : 0].forEach((value, i) => s.setInt32(4 * i, value, true));
-    const arrays = [rows, chunk.moves, chunk.turns, moveUnits, turnUnits, chunk.lives];
+    [chunk.splats, chunk.span].forEach((value, i) => s.setInt32(4 * i, value, true));
+    const arrays = [rows, chunk.moves, chunk.turns, moveUnits, turnUnits, chunk.lives, chunk.fades];
     arrays.forEach((array, i) => {
       s.setUint32(32 + 4 * i, array ? this.keep(array) : 0, true);
       s.setBigInt64(TILE_LENGTHS + 8 * i, BigInt(array?.length ?? 0), true);
     });
+    this.rowsAt = this.blocks[0]!;
   }
 
   /** Write what the kernel takes to `at`. */
@@ -58,12 +64,29 @@ export class MovingTile {
     this.kernels.u8(at, TILE_BYTES).set(new Uint8Array(this.structure.buffer));
   }
 
-  /** The part of the tile that is elsewhere at another time of its chunk: all others keep what any evaluation gave them, bit
-   * by bit. The tile itself where that is most of it. */
-  inMotion(): MovingTile {
+  /** The whole tile. */
+  whole(): this {
+    this.leaveOut(-1);
+    return this;
+  }
+
+  /** The part of the tile that the way from `since`, of the same chunk, to the tile's time changes: all others keep what an
+   * evaluation at `since` gave them, bit by bit. */
+  inMotion(since: number): MovingTile {
     this.part ??= this.parted();
     this.part.time = this.time;
+    this.part.leaveOut(Math.min(Math.max(Math.floor(Math.min(since, this.time)), 0), this.chunk.span));
     return this.part;
+  }
+
+  /** Leave out splats that have ended by frame `until` of the chunk, and no others. */
+  private leaveOut(until: number): void {
+    const { lives } = this.chunk;
+    if (!lives || until === this.ended) return;
+    this.ended = until;
+    const there = (i: number): boolean => lives[i]! > until;
+    this.kernels.i32(this.rowsAt, this.rows.length).set(this.rows.map((row, i) => (there(i) ? row : -1)));
+    this.owned = pick(this.rows, this.byRow.filter(there));
   }
 
   private parted(): MovingTile {
@@ -98,28 +121,6 @@ export function moveRows(kernels: Kernels, tiles: readonly MovingTile[], capacit
     kernels.writeLengths(arrays + ARRAYS_LENGTHS, [3, 4, 1, 3, 4, 1].map((width) => width * capacity));
     check("cags_motion_rows", kernels.calls.cags_motion_rows(given, tiles.length, arrays, 1));
   });
-  const [before, after] = [kernels.f32(from.logits, capacity), kernels.f32(into.logits, capacity)];
-  for (const tile of tiles) if (tile.chunk.fades) fade(tile, before, after);
-}
-
-/** Opacity logits after fades, of those that are there: the kernel leaves them alone, for it has no logarithm. */
-function fade(tile: MovingTile, before: Float32Array, after: Float32Array): void {
-  const { chunk, rows } = tile;
-  const { time } = momentOf(chunk, tile.time);
-  for (let i = 0; i < rows.length; i++) {
-    const row = rows[i]!;
-    if (row < 0) continue;
-    const there = !chunk.lives || chunk.lives[i]! > time || chunk.lives[i] === chunk.span + 1;
-    after[row] = there ? faded(chunk.fades![2 * i]!, chunk.fades![2 * i + 1]!, time, before[row]!) : ABSENT_LOGIT;
-  }
-}
-
-function faded(centre: number, width: number, time: number, logit: number): number {
-  if (!Number.isFinite(width)) return logit;
-  const away = (time - centre) / width;
-  const opacity = Math.exp(-0.5 * away * away) / (1 + Math.exp(-logit));
-  const inside = Math.min(Math.max(opacity, 1e-9), 1 - 1e-7);
-  return fround(Math.log(inside / (1 - inside)));
 }
 
 /** Finest units [n] of the chunk's positions and rotations: those of the tile, halved. */

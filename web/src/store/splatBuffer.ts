@@ -45,7 +45,7 @@ class Motion {
   }
 
   /** The splats of a tile that are not shown as they are at `time`: all of them, but where the same chunk is shown. Made anew
-   * only where something else than the time has changed. */
+   * only where something else than the time has changed, and who has ended. */
   tileAt(kernels: Kernels, start: number, time: number, held: StoredLooks): MovingTile {
     const { chunk } = this.chunks.get(start)!;
     const { tile } = this;
@@ -54,7 +54,8 @@ class Motion {
       this.tile = new MovingTile(kernels, chunk, held.rows!, held.steps!);
     }
     this.tile!.time = time - start;
-    return !this.dirty && this.shown?.[0] === start ? this.tile!.inMotion() : this.tile!;
+    if (this.dirty || this.shown?.[0] !== start) return this.tile!.whole();
+    return this.tile!.inMotion(this.updated ? 0 : this.shown[1] - start);
   }
 
   dispose(): void {

@@ -4,6 +4,7 @@
 #include "support/thread_pool.h"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <iterator>
 #include <limits>
@@ -46,6 +47,45 @@ void multiply(const Quats& a, Quats& b, int count) {
   }
 }
 
+double held(double value, double least, double most) { return value < least ? least : value > most ? most : value; }
+
+template <size_t kTerms>
+double polynomial(const double (&coefficients)[kTerms], double at) {
+  double out = coefficients[0];
+  for (size_t i = 1; i < kTerms; i++) out = out * at + coefficients[i];
+  return out;
+}
+
+// Exponential and logarithm of cags_common.motion.fades, to the same bits.
+constexpr double kFaintest = 1e-9, kStrongest = 1 - 1e-7;
+constexpr double kLn2[] = {0.693147180369123816490, 1.90821492927058770002e-10};
+constexpr int64_t kOne = std::bit_cast<int64_t>(1.0);
+
+double exponential(double value) {
+  constexpr double kMost = 700.0, kLog2E = 1.4426950408889634, kRound = 6755399441055744.0;
+  constexpr double kTaylor[] = {1.0 / 479001600, 1.0 / 39916800, 1.0 / 3628800, 1.0 / 362880, 1.0 / 40320, 1.0 / 5040, 1.0 / 720,
+                                1.0 / 120,       1.0 / 24,       1.0 / 6,       1.0 / 2,      1.0,         1.0};
+  value = held(value, -kMost, kMost);
+  const double rounded = value * kLog2E + kRound, power = rounded - kRound;
+  const double rest = (value - power * kLn2[0]) - power * kLn2[1];
+  const uint64_t scale = (std::bit_cast<uint64_t>(rounded) << 52) + kOne;  // 2 to the power
+  return polynomial(kTaylor, rest) * std::bit_cast<double>(scale);
+}
+
+double logarithm(double value) {
+  constexpr double kOdd[] = {1.0 / 21, 1.0 / 19, 1.0 / 17, 1.0 / 15, 1.0 / 13, 1.0 / 11, 1.0 / 9, 1.0 / 7, 1.0 / 5, 1.0 / 3, 1.0};
+  constexpr double kHalfRoot = 0.7071067811865476;
+  constexpr int64_t kFraction52 = (int64_t{1} << 52) - 1, kHalf = std::bit_cast<int64_t>(0.5);
+  const int64_t bits = std::bit_cast<int64_t>(value);
+  double part = std::bit_cast<double>((bits & kFraction52) | kHalf);
+  const bool small = part < kHalfRoot;
+  const double power = static_cast<int32_t>(bits >> 52) - 1022 - small;
+  part = small ? 2.0 * part : part;
+  const double way = (part - 1.0) / (part + 1.0);
+  const double series = 2.0 * way * polynomial(kOdd, way * way);
+  return power * kLn2[0] + (power * kLn2[1] + series);
+}
+
 // Samples [span + 1, count] at a time.
 class Between {
  public:
@@ -53,8 +93,14 @@ class Between {
   Between(const int32_t* samples, int64_t count, const CagsMotionTile& tile)
       : first_(samples + tile.sample * count), after_(first_ + count), share_(tile.share) {}
 
-  // Those from `at` on.
-  void take(int64_t at, int count, double* out) const {
+  // `parts` of each of the `splats`, which rise: one after the other where they are neighbours.
+  void take(const int* splats, int count, int parts, double* out) const {
+    if (splats[count - 1] - splats[0] == count - 1) return line(int64_t{parts} * splats[0], parts * count, out);
+    for (int k = 0; k < count; k++) line(int64_t{parts} * splats[k], parts, out + parts * k);
+  }
+
+ private:
+  void line(int64_t at, int count, double* out) const {
     const int32_t *first = first_ + at, *after = after_ + at;
     if (share_ == 0.0) {
       for (int k = 0; k < count; k++) out[k] = first[k];
@@ -63,7 +109,6 @@ class Between {
     }
   }
 
- private:
   const int32_t *first_ = nullptr, *after_ = nullptr;
   double share_ = 0.0;
 };
@@ -76,11 +121,15 @@ class Mover {
   }
 
   void run(int first, int end) {
-    for (first_ = first; first_ < end; first_ += kRun) {
-      count_ = std::min(end - first_, kRun);
+    while (first < end) {
+      for (count_ = 0; first < end && count_ < kRun; first++) {
+        if (tile_.rows[first] >= 0) splats_[count_++] = first;
+      }
+      if (!count_) return;
       gather();
       if (tile_.moves) shift();
       if (tile_.turns) turn();
+      if (tile_.fades) fade();
       scatter();
     }
   }
@@ -88,26 +137,26 @@ class Mover {
  private:
   void gather() {
     for (int k = 0; k < count_; k++) {
-      const int64_t row = tile_.rows[first_ + k];
-      if (row < 0) continue;  // what is left here is worked on, and written nowhere
+      const int64_t row = tile_.rows[splats_[k]];
       const float *mean = arrays_.means + 3 * row, *quat = arrays_.quats + 4 * row;
       for (int axis = 0; axis < 3; axis++) means_[axis][k] = mean[axis];
+      logits_[k] = arrays_.logits[row];
       turned_.w[k] = quat[0], turned_.x[k] = quat[1], turned_.y[k] = quat[2], turned_.z[k] = quat[3];
     }
   }
 
   void shift() {
-    moves_.take(3 * int64_t{first_}, 3 * count_, said_);
+    say(moves_, tile_.moves, 3);
     for (int k = 0; k < count_; k++) {
-      const double step = tile_.move_steps[first_ + k] / kFraction;
+      const double step = tile_.move_steps[splats_[k]] / kFraction;
       for (int axis = 0; axis < 3; axis++) means_[axis][k] += said_[3 * k + axis] * step;
     }
   }
 
   void turn() {
-    turns_.take(4 * int64_t{first_}, 4 * count_, said_);
+    say(turns_, tile_.turns, 4);
     for (int k = 0; k < count_; k++) {
-      const double step = tile_.turn_steps[first_ + k] / kFraction;
+      const double step = tile_.turn_steps[splats_[k]] / kFraction;
       turns_by_.w[k] = said_[4 * k] * step + 1.0, turns_by_.x[k] = said_[4 * k + 1] * step;
       turns_by_.y[k] = said_[4 * k + 2] * step, turns_by_.z[k] = said_[4 * k + 3] * step;
     }
@@ -116,16 +165,44 @@ class Mover {
     make_unit(turned_, count_);
   }
 
+  // What the samples say at the time; of splats that have ended, at their end.
+  void say(const Between& between, const int32_t* samples, int parts) {
+    between.take(splats_, count_, parts, said_);
+    if (!tile_.lives) return;
+    for (int k = 0; k < count_; k++) {
+      const int i = splats_[k];
+      if (!there(i)) std::copy_n(samples + parts * (int64_t{tile_.lives[i]} * tile_.splats + i), parts, said_ + parts * k);
+    }
+  }
+
+  void fade() {
+    Column away, gaussian, visible, odds;
+    for (int k = 0; k < count_; k++) {
+      const float* fade = tile_.fades + 2 * splats_[k];
+      away[k] = (tile_.time - fade[0]) / double{fade[1]};
+    }
+    for (int k = 0; k < count_; k++) gaussian[k] = exponential(-0.5 * away[k] * away[k]);
+    for (int k = 0; k < count_; k++) visible[k] = exponential(-double{logits_[k]});
+    for (int k = 0; k < count_; k++) {
+      const double opacity = gaussian[k] / (1.0 + visible[k]), inside = held(opacity, kFaintest, kStrongest);
+      odds[k] = inside / (1.0 - inside);
+    }
+    for (int k = 0; k < count_; k++) odds[k] = logarithm(odds[k]);
+    for (int k = 0; k < count_; k++) {
+      const bool fades = tile_.fades[2 * splats_[k] + 1] < std::numeric_limits<float>::infinity();
+      logits_[k] = fades ? static_cast<float>(odds[k]) : logits_[k];
+    }
+  }
+
   void scatter() const {
     for (int k = 0; k < count_; k++) {
-      const int64_t row = tile_.rows[first_ + k];
-      if (row < 0) continue;
+      const int64_t row = tile_.rows[splats_[k]];
       for (int axis = 0; axis < 3; axis++) arrays_.into_means[3 * row + axis] = static_cast<float>(means_[axis][k]);
       if (tile_.turns)
         write_turned(k, arrays_.into_quats + 4 * row);
       else
         std::copy_n(arrays_.quats + 4 * row, 4, arrays_.into_quats + 4 * row);
-      if (!tile_.fades) arrays_.into_logits[row] = there(first_ + k) ? arrays_.logits[row] : kAbsentLogit;
+      arrays_.into_logits[row] = there(splats_[k]) ? logits_[k] : kAbsentLogit;
     }
   }
 
@@ -140,8 +217,10 @@ class Mover {
   const CagsMotionTile& tile_;
   const CagsMotionArrays& arrays_;
   Between moves_, turns_;
-  int first_ = 0, count_ = 0;  // of the run
+  int splats_[kRun];  // of the run, rising
+  int count_ = 0;
   Column means_[3] = {};
+  float logits_[kRun];
   Quats turned_ = {}, turns_by_;
   double said_[4 * kRun];
 };
@@ -155,6 +234,7 @@ bool fits(const CagsMotionTile& tile) {
   } arrays[] = {
       {tile.rows, splats},       {tile.moves, 3 * splats * samples}, {tile.turns, 4 * splats * samples},
       {tile.move_steps, splats}, {tile.turn_steps, splats},          {tile.lives, splats},
+      {tile.fades, 2 * splats},
   };
   static_assert(std::size(arrays) == std::size(CagsMotionTile{}.lengths));
   for (size_t i = 0; i < std::size(arrays); i++) {

@@ -39,7 +39,6 @@ struct CagsMotionTree {
 // One tile at a time. Null pointers leave that part of the motion out.
 struct CagsMotionTile {
   int32_t splats, span, sample;
-  int32_t fades;  // not 0: opacities are left alone
   double time, share;
   const int32_t* rows;      // [splats] of the arrays by id; -1: left out
   const int32_t* moves;     // [span + 1, splats, 3]
@@ -47,7 +46,8 @@ struct CagsMotionTile {
   const float* move_steps;  // [splats]
   const float* turn_steps;  // [splats]
   const uint8_t* lives;     // [splats]
-  int64_t lengths[6];       // elements of the six, in their order: what does not fit is refused
+  const float* fades;       // [splats, 2] centre and standard deviation in frames; infinite: none
+  int64_t lengths[7];       // elements of the seven, in their order: what does not fit is refused
 };
 
 struct CagsMotionArrays {  // by id
