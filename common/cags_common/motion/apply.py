@@ -68,16 +68,18 @@ class MovingTile:
     ended: int = -1
     """Frame of the chunk up to which rows of splats that have ended are left out; -1: none are."""
 
-    def in_motion(self, since: float) -> MovingTile:
+    def in_motion(self, since: float | None) -> MovingTile:
         """The part of the tile that the way from ``since``, of the same chunk, to the tile's time changes: all others
-        keep what an evaluation at ``since`` gave them, bit by bit. The tile itself where that is all of it.
+        keep what an evaluation at ``since`` gave them, bit by bit. None: from anywhere in the chunk, with splats that
+        have ended. The tile itself where that is all of it.
         """
         if not self.parted:
             self.part, self.parted = self._part(), True
         if self.part is None:
             return self
         self.part.time = self.time
-        self._leave_out_ended(self.part, min(since, self.time))
+        until = -1 if since is None else min(max(int(min(since, self.time)), 0), self.chunk.span)
+        self._leave_out_ended(self.part, until)
         return self.part
 
     def leave_out(self, those: NDArray[np.bool_]) -> None:
@@ -97,9 +99,9 @@ class MovingTile:
             return None
         return MovingTile(chunk, self.time, self.rows.copy(), self.steps)
 
-    def _leave_out_ended(self, part: MovingTile, time: float) -> None:
-        """Leave out rows of ``part`` whose splats have ended by ``time``, and no others."""
-        lives, until = part.chunk.lives, min(max(int(time), 0), part.chunk.span)
+    def _leave_out_ended(self, part: MovingTile, until: int) -> None:
+        """Leave out rows of ``part`` whose splats have ended by frame ``until`` of the chunk, and no others."""
+        lives = part.chunk.lives
         if lives is None or until == part.ended:
             return
         if until < part.ended:

@@ -98,7 +98,7 @@ class _Motion:
         tile.time = time - start
         if self.shown is None or self.shown[0] != start or self.dirty:
             return tile
-        return tile.in_motion(0.0 if self.updated else self.shown[1] - start)
+        return tile.in_motion(None if self.updated else self.shown[1] - start)
 
     def leave_out(self, rows: I32, those: NDArray[np.bool_]) -> None:
         """From now on ``rows`` [n], which :meth:`tile_at` is given, are without ``those`` [n]."""

@@ -50,6 +50,7 @@ BUNDLES: dict[str, Callable[[int], BundleReader]] = {
 @settings(max_examples=examples(15), deadline=None)
 @given(seed=st.integers(0, 2**32), few=st.booleans(), whole=st.booleans())
 @example(seed=138567, few=True, whole=False)  # a level comes again between a jump back and its replay
+@example(seed=65011, few=False, whole=True)  # opacities are updated of what ends with the first frame of its motion
 def test_at_every_reference_the_mirror_holds_what_the_client_shows(
     kind: str, seed: int, few: bool, whole: bool
 ) -> None:

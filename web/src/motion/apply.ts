@@ -71,11 +71,12 @@ export class MovingTile {
   }
 
   /** The part of the tile that the way from `since`, of the same chunk, to the tile's time changes: all others keep what an
-   * evaluation at `since` gave them, bit by bit. */
-  inMotion(since: number): MovingTile {
+   * evaluation at `since` gave them, bit by bit. Undefined: from anywhere in the chunk, with splats that have ended. */
+  inMotion(since: number | undefined): MovingTile {
     this.part ??= this.parted();
     this.part.time = this.time;
-    this.part.leaveOut(Math.min(Math.max(Math.floor(Math.min(since, this.time)), 0), this.chunk.span));
+    const whole = (time: number): number => Math.min(Math.max(Math.floor(time), 0), this.chunk.span);
+    this.part.leaveOut(since === undefined ? -1 : whole(Math.min(since, this.time)));
     return this.part;
   }
 

@@ -55,7 +55,7 @@ class Motion {
     }
     this.tile!.time = time - start;
     if (this.dirty || this.shown?.[0] !== start) return this.tile!.whole();
-    return this.tile!.inMotion(this.updated ? 0 : this.shown[1] - start);
+    return this.tile!.inMotion(this.updated ? undefined : this.shown[1] - start);
   }
 
   dispose(): void {

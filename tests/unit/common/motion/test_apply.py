@@ -172,6 +172,13 @@ def test_only_what_is_in_motion_is_evaluated_again_and_all_bits_are_those_of_a_w
     assert 0 < told.sum() < (0.875 if seed % 2 == 0 else 1) * (rows >= 0).sum(), "some are left out"
 
 
+def test_what_has_ended_at_the_first_frame_is_evaluated_again_where_its_opacity_was_updated() -> None:
+    chunk = still(lives=np.array([0, 2, SPAN + 1], np.uint8))
+    tile = MovingTile(chunk, 1.0, np.arange(SPLATS, dtype=np.int32), STEPS)
+    assert tile.in_motion(0.0).rows.tolist() == [-1, 1]
+    assert tile.in_motion(None).rows.tolist() == [0, 1]
+
+
 def test_of_a_tile_in_which_everything_moves_the_part_in_motion_is_the_tile() -> None:
     moves = np.arange((SPAN + 1) * SPLATS * 3, dtype=np.int32).reshape(SPAN + 1, SPLATS, 3)
     tile = MovingTile(still(moves=moves), 0.0, np.arange(SPLATS, dtype=np.int32), STEPS)
