@@ -26,16 +26,22 @@ class Owners:
     updates: NDArray[np.int32] | None
     """[attributes, capacity] the newest update of each attribute; -1 where looks are all there is. None: no updates."""
 
+    counts: NDArray[np.bool_] | None
+    """[attributes, capacity] whether there is an update that no attribute before is from: each tile counts once."""
+
     @property
     def nbytes(self) -> int:
         """Memory, about: a frame that changes nothing shares that of the one before."""
-        return self.looks.nbytes + (0 if self.updates is None else self.updates.nbytes)
+        return sum(array.nbytes for array in (self.looks, self.updates, self.counts) if array is not None)
 
     @staticmethod
     def none(capacity: int, *, updates: bool) -> Owners:
         """Before the first frame of a group."""
-        blank = np.full((len(UPDATE_COLUMNS), capacity), -1, np.int32) if updates else None
-        return Owners(np.full(capacity, -1, np.int32), blank)
+        looks = np.full(capacity, -1, np.int32)
+        if not updates:
+            return Owners(looks, None, None)
+        shape = len(UPDATE_COLUMNS), capacity
+        return Owners(looks, np.full(shape, -1, np.int32), np.zeros(shape, bool))
 
 
 def advanced(before: Owners, reader: BundleReader, tiles: TileMap, frame: int) -> Owners:
@@ -46,10 +52,10 @@ def advanced(before: Owners, reader: BundleReader, tiles: TileMap, frame: int) -
     if len(removed) or TileKind.LOOKS in kinds:
         now = replace(now, looks=now.looks.copy())
         now.looks[removed] = -1
-    if now.updates is not None and (len(removed) or kinds - {TileKind.MOTION}):
-        updates = now.updates.copy()
-        updates[:, removed] = -1
-        now = replace(now, updates=updates)
+    if now.updates is not None and now.counts is not None and (len(removed) or kinds - {TileKind.MOTION}):
+        updates, counts = now.updates.copy(), now.counts.copy()
+        updates[:, removed], counts[:, removed] = -1, False
+        now = replace(now, updates=updates, counts=counts)
     for tile in entry.tiles:
         if tile.kind == TileKind.LOOKS:
             _take_looks(now, reader.tile_ids(frame, tile.tile), tiles.number(frame, tile.tile))
@@ -60,14 +66,19 @@ def advanced(before: Owners, reader: BundleReader, tiles: TileMap, frame: int) -
 
 def _take_looks(now: Owners, ids: Ids, number: int) -> None:
     now.looks[ids] = number
-    if now.updates is not None:
-        now.updates[:, ids] = -1
+    if now.updates is not None and now.counts is not None:
+        now.updates[:, ids], now.counts[:, ids] = -1, False
 
 
 def _take_update(now: Owners, reader: BundleReader, frame: int, tile: int, number: int) -> None:
     state = reader.open_tile(frame, tile)
-    if now.updates is None or not isinstance(state, UpdateState):
+    if now.updates is None or now.counts is None or not isinstance(state, UpdateState):
         return
     for name, mask in state.changed.items():
         if name in ATTRIBUTES:
             now.updates[ATTRIBUTES[name], state.ids[mask]] = number
+    numbers = now.updates[:, state.ids]
+    counts = numbers >= 0
+    for row in range(1, len(numbers)):
+        counts[row] &= ~(numbers[:row] == numbers[row]).any(axis=0)
+    now.counts[:, state.ids] = counts

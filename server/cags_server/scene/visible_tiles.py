@@ -146,13 +146,10 @@ def _chunks(tiles: TileMap, seen: Tally, chunks: Numbers, left: F64) -> list[Vis
 
 def _updates(moment: Moment, splats: NDArray[np.intp], weights: F32) -> list[VisibleTile]:
     """Updates in force of ``splats`` [n], of ``weights`` [n]; a splat counts once in each tile."""
-    if moment.owners.updates is None or moment.stays.updates is None:
+    owners, stays = moment.owners, moment.stays
+    if owners.updates is None or owners.counts is None or stays.updates is None:
         return []
-    numbers, left = moment.owners.updates[:, splats], moment.stays.updates[:, splats]
-    changed = np.flatnonzero((numbers >= 0).any(axis=0))
-    numbers, left, weights = numbers[:, changed], left[:, changed], weights[changed]
-    counted = numbers >= 0
-    for row in range(1, len(numbers)):
-        counted[row] &= ~(numbers[:row] == numbers[row]).any(axis=0)
-    every = np.broadcast_to(weights, numbers.shape)[counted]
-    return _visible(moment.tiles, _tallied(numbers[counted], every, left[counted]), TileKind.UPDATE)
+    rows, found = np.nonzero(owners.counts[:, splats])
+    changed = splats[found]
+    numbers, left = owners.updates[rows, changed], stays.updates[rows, changed]
+    return _visible(moment.tiles, _tallied(numbers, weights[found], left), TileKind.UPDATE)

@@ -26,7 +26,7 @@ def group(seed: int, frames: int, *, quiet: float, updates: bool) -> list[Owners
         if rng.random() > quiet:
             more = more.copy()
             more[rng.random((4, 40)) < 0.05] = 3 + frame
-        out.append(Owners(looks, more if updates else None))
+        out.append(Owners(looks, more if updates else None, None))
     return out
 
 
