@@ -40,9 +40,9 @@ class Reserve:
         if (self.frames + 1) * period_us <= self._longest_us:
             self.frames += 1
 
-    def hold(self) -> None:
-        """The next plan is for the same frame, which comes closer by that; not closer than the least."""
-        self.frames = max(self.frames - 1, self._least)
+    def hold(self, frames: int = 1) -> None:
+        """That many plans are for the same frame, which comes closer by that; not closer than the least."""
+        self.frames = max(self.frames - frames, self._least)
 
     def restart(self) -> None:
         """The viewer jumped, or stopped: what lies ahead is not what was sent."""

@@ -20,7 +20,7 @@ from cags_server.session.clock import ClientClock
 from cags_server.session.reserve import Reserve
 from cags_server.settings import ServerSettings
 
-RENDER_GRACE, SEEN_GRACE, UNSEEN_GRACE_LEADS = (2.0, 0.4), (1.0, 0.25), 0.5
+RENDER_GRACE, SEEN_GRACE, UNSEEN_GRACE = (2.0, 0.4), (1.0, 0.25), (4.0, 0.5)
 """Longest wait for a pending render before a frame is served without it: for the rendered frame, for the next one, and
 for either in a group without any render. In frame periods, limited by a share of the lead.
 """
@@ -172,14 +172,11 @@ class Schedule:
         """
         if self.next_frame is None:
             return None
-        tick = self.serves
-        lead_us = self.lead_us
-        due_us = self._clock.to_server(round(self.timeline.display_us(tick) - lead_us))
+        due_us = self._clock.to_server(round(self.timeline.display_us(self.serves) - self.lead_us))
         if not self.rendering:
             return due_us
-        if not seen():
-            return due_us + round(UNSEEN_GRACE_LEADS * lead_us)
-        return due_us + round(self.grace_us(SEEN_GRACE if self._unserved_render is None else RENDER_GRACE))
+        seen_grace = SEEN_GRACE if self._unserved_render is None else RENDER_GRACE
+        return due_us + round(self.grace_us(seen_grace if seen() else UNSEEN_GRACE))
 
     def grace_us(self, grace: tuple[float, float] = RENDER_GRACE) -> float:
         """Longest wait of a frame for its render."""
@@ -229,6 +226,7 @@ class Schedule:
         """``tick`` is planned, which completes all earlier ones; returns their number, including ``tick``."""
         covered = tick - self._from_tick + 1
         self._passed, self._from_tick = range(self._from_tick, tick), tick + 1
+        self.reserve.hold(self._displayed(self._passed))  # else as many frames ahead would be passed over at once
         served, self._served_ahead = max(self._served_ahead, tick), self.ahead(tick)
         between = range(served + 1, self._served_ahead)
         self.between = tuple(at for at in between if next_displayed(at, self.cadence_permille) == at)
@@ -248,7 +246,11 @@ class Schedule:
         first = max(passed.start, self.timeline.first_tick(self._excused_us + 1))
         if not self.timeline.playing or first >= passed.stop:
             return 0
-        before, last = ((tick - 1) * self.cadence_permille // EVERY_FRAME for tick in (first, passed.stop))
+        return self._displayed(range(first, passed.stop))
+
+    def _displayed(self, ticks: range) -> int:
+        """How many of ``ticks`` are displayed."""
+        before, last = ((tick - 1) * self.cadence_permille // EVERY_FRAME for tick in (ticks.start, ticks.stop))
         return last - before
 
     def is_out(self, tick: int) -> bool:

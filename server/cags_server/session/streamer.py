@@ -342,7 +342,8 @@ class Streamer:
     def begin(self, now_us: int) -> FrameJob | None:
         """Plan the newest due frame: predict the viewer's pose and choose the field of view. None if no frame is due.
 
-        Earlier due frames that were not begun are skipped, because their references would be late.
+        Earlier due frames that were not begun are skipped, because their references would be late; where no references
+        are made, the oldest one is planned.
         """
         if self._greeting_due_us is not None:
             return self._greeting(now_us) if now_us >= self._greeting_due_us else None
@@ -351,7 +352,7 @@ class Streamer:
         due_us = self.frame_due_us()
         if due_us is None or now_us < due_us or self._between_references(now_us):
             return None
-        tick, frame, covered = self._schedule.begin_render(now_us - due_us)
+        tick, frame, covered = self._schedule.begin_render(now_us - due_us if self._pays else 0)
         if self._damaged:
             self._damaged = False
             self._tiles.start_anew()
@@ -562,7 +563,7 @@ class Streamer:
         if plan.greets:
             self._reference_budget.spent(plan.frame, len(render.coded.access_unit) + REFERENCE_OVERHEAD_BYTES)
             return self._dispatch.queue([self._video.message(render, now_us + GREETING_DEADLINE_US)], now_us)
-        self._visibility.rendered(plan.ahead.frame, render.contribution)
+        self._visibility.rendered(plan.ahead.frame, render.contribution, self._viewer.camera(plan.predicted.pose))
         overtaken = self._schedule.overtaken(plan.tick)
         if not overtaken:
             self._enter(plan.ahead.frame, now_us)

@@ -38,9 +38,6 @@ in every frame.
 RESERVED_SPLATS = 1 << 20
 """Largest number of splats that appear within the reserve: the client holds them decoded, up to 240 bytes each."""
 
-MOST_PASSED = 8
-"""Largest number of passed frames that are looked at, unless more (``tiles_ahead``) precede the first one of a play."""
-
 FOLLOWED_AT_ONCE = 4
 """Number of frames after the paused one that are looked at in one plan; each takes some milliseconds."""
 
@@ -100,19 +97,18 @@ class TilePlanner:
     def passed_over(self, plan: FramePlan, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
         """Tiles and ends of the frames before the one planned ahead that no earlier plan served.
 
-        Where they are many, as at the beginning, a bundle with motion brings only the chunks that begin in them: what
-        moves would stand still until others began. What else changes in these frames alone is passed over. Only the
-        last :data:`MOST_PASSED` are looked at: this takes time, of which a late server has none.
+        Where they are many, as at the beginning, a bundle with motion brings only what begins in them: splats that
+        appear, and motion and updates. Whatever else these frames show has its turn with the one planned ahead.
         """
         many = self._library.manifest.motion is not None and len(plan.before) > FEW_PASSED
         out: list[ev.Outgoing] = []
-        for ahead in plan.before[-max(MOST_PASSED, self._settings.tiles_ahead) :]:
+        for ahead in plan.before:
             ended = -1 if self._tiles.ended is None else self._tiles.ended
             if not ended < ahead.frame < plan.ahead.frame or not self._visibility.tells_of(ahead.frame):
                 continue
             tiles = self._visibility.tiles(ahead.frame)
             if many:
-                tiles = tuple(tile for tile in tiles if tile.kind == TileKind.MOTION and tile.frame == ahead.frame)
+                tiles = tuple(tile for tile in tiles if tile.frame == ahead.frame)
                 if not tiles:
                     continue
             step = replace(record, ahead=ahead, tile_bytes=0)
@@ -241,10 +237,11 @@ class TilePlanner:
         self, wanted: tuple[VisibleTile, ...], record: FrameRecord, now_us: int, *, newest: bool = False
     ) -> list[ev.Outgoing]:
         """Those of ``wanted`` that the rate policy chooses, and the end of the frame; ``newest``: it is the last frame
-        planned at this time, and no step between.
+        planned at this time, and no step between. What is outdated and may be in view goes with such a frame alone.
         """
-        ahead, camera = record.ahead, self._viewer.camera(record.predicted)
-        tiles = self._visibility.with_ghosts(wanted, ahead.frame, camera, self._tiles.inventory, self._tiles.age)
+        ahead, camera, tiles = record.ahead, self._viewer.camera(record.predicted), wanted
+        if newest:
+            tiles = self._visibility.with_ghosts(wanted, ahead.frame, camera, self._tiles.inventory, self._tiles.age)
         observation, earned_bytes = self._observed(tiles, record, now_us)
         decision = self._policy.decide(observation)
         lacking = lacking_bytes(observation)

@@ -42,13 +42,18 @@ def _bounds(tiles: TileMap, looks: Numbers, frame: int) -> F64:
     return np.asarray(tiles.bounds[np.where(chunks >= 0, chunks, looks)])
 
 
+def tile_distances(library: SceneLibrary, frame: int, looks: Numbers, camera: Camera) -> F64:
+    """Distance [n] of the nearest corner of each of the tiles ``looks`` [n] at ``frame``; inf where out of view."""
+    return distances_in_view(_bounds(library.tile_map(frame), looks, frame), camera)
+
+
 def guessed_looks(library: SceneLibrary, frame: int, camera: Camera, pixels: int) -> Tally:
     """Tiles of looks of which a picture of ``pixels`` may show something, and how much, from tile bounds alone.
 
     Splats of tiles in view share the pixels by the inverse square of their tile's distance; occlusion is ignored.
     """
     every = library.all_looks(frame)
-    distances = distances_in_view(_bounds(library.tile_map(frame), every.numbers, frame), camera)
+    distances = tile_distances(library, frame, every.numbers, camera)
     near = np.flatnonzero(np.isfinite(distances))
     seen = every.rows(near)
     shares = seen.counts / np.square(np.maximum(distances[near], camera.near))

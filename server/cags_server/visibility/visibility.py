@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -14,12 +15,23 @@ from cags_server.scene.library import SceneLibrary
 from cags_server.scene.tile_map import Numbers
 from cags_server.scene.visible_tiles import VisibleTile
 from cags_server.visibility.age import VersionAge
-from cags_server.visibility.bounds import guessed_looks
+from cags_server.visibility.bounds import guessed_looks, tile_distances
 from cags_server.visibility.ghosts import ShownLooks, StaleSplats, ghosts, merged
 from cags_server.visibility.inventory import ClientInventory
 
 Splats: TypeAlias = NDArray[np.intp]
 """Ids [n], ascending."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Picture:
+    """What the last render showed."""
+
+    gof: int
+    frame: int
+    camera: Camera
+    splats: Splats
+    weights: F32  # [n] pixels of each
 
 
 class Visibility:
@@ -28,22 +40,48 @@ class Visibility:
     def __init__(self, library: SceneLibrary, visible_px: float) -> None:
         self.stale = StaleSplats(library, visible_px)
         self._library, self._visible_px = library, visible_px
-        self._last: tuple[int, Splats, F32] | None = None  # group of frames; what its last picture showed, and how much
+        self._last: _Picture | None = None
         self._shown: tuple[ShownLooks, int, Numbers] | None = None  # of which versions, and of which owners
 
-    def rendered(self, frame: int, contribution: F32) -> None:
-        """Take the ``contribution`` [capacity], pixels per splat, that the reference render of ``frame`` found."""
+    def rendered(self, frame: int, contribution: F32, camera: Camera) -> None:
+        """Take the ``contribution`` [capacity], pixels per splat, to the render of ``frame`` from ``camera``."""
         splats = np.flatnonzero(contribution > self._visible_px)
-        self._last = self._library.manifest.gof_of(frame), splats, contribution[splats]
+        gof = self._library.manifest.gof_of(frame)
+        self._last = _Picture(gof, frame, camera, splats, contribution[splats])
 
     def tells_of(self, frame: int) -> bool:
         """Whether the last render is valid for ``frame``; it is not in another group of frames."""
-        return self._last is not None and self._last[0] == self._library.manifest.gof_of(frame)
+        return self._last is not None and self._last.gof == self._library.manifest.gof_of(frame)
 
     def tiles(self, frame: int) -> tuple[VisibleTile, ...]:
-        """Visibility at ``frame`` from the last render of its group."""
-        assert self._last is not None, "nothing was rendered"
-        return self._library.tiles_of(frame, *self.stale.joined(*self._last[1:], frame))
+        """Visibility at ``frame`` from the last render of its group.
+
+        Splats that have appeared since are in no render. They count like the average splat if the bounds of their tile
+        are in view; otherwise nothing of them would be sent before the next render.
+        """
+        last = self._last
+        assert last is not None, "nothing was rendered"
+        splats, weights = self.stale.joined(last.splats, last.weights, frame)
+        if frame > last.frame:
+            splats, weights = self._with_new(last, splats, weights, frame)
+        return self._library.tiles_of(frame, splats, weights)
+
+    def _with_new(self, last: _Picture, splats: Splats, weights: F32, frame: int) -> tuple[Splats, F32]:
+        """``splats`` [n] and their ``weights`` [n] at ``frame``, and those that have appeared since ``last``."""
+        then, now = self._library.owners(last.frame), self._library.owners(frame)
+        # With motion, new looks are of a new splat, whose id may have been another's. Without it, splats that only
+        # changed have new looks, too.
+        appeared = (now >= 0) & (then < 0 if self._library.manifest.motion is None else now != then)
+        if not appeared.any():
+            return splats, weights
+        every = np.zeros(len(now), np.float32)
+        every[splats] = weights
+        new = np.flatnonzero(appeared)
+        numbers, tile = np.unique(now[new], return_inverse=True)
+        in_view = np.isfinite(tile_distances(self._library, frame, numbers, last.camera))[tile]
+        every[new] = np.where(in_view, last.weights.sum() / max((then >= 0).sum(), 1), 0.0)
+        found = np.flatnonzero(every > 0)
+        return found, every[found]
 
     def guessed_tiles(self, frame: int, camera: Camera, pixels: int) -> tuple[VisibleTile, ...]:
         """Estimate, from tile bounds, of what a render of ``pixels`` pixels from ``camera`` would show."""
