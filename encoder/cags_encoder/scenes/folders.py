@@ -15,9 +15,13 @@ from pathlib import Path
 
 from cags_common.errors import SceneError
 from cags_encoder.formats.registry import FORMATS, META, SUFFIXES
+from cags_encoder.formats.splatv import SUFFIX as SPLATV
 from cags_encoder.scenes.source import MAX_FRAMES
 
 TRAINED = "point_cloud.ply"
+
+CLIPS = (".npz", SPLATV)
+"""Suffixes of files that hold a clip each."""
 
 _log = logging.getLogger(__name__)
 
@@ -44,6 +48,9 @@ def numbered_frames(folder: Path) -> list[Path]:
     named = [(entry, _frame(entry)) for entry in entries if not entry.name.startswith(".")]
     found = [(entry, frame) for entry, frame in named if frame is not None]
     if not found:
+        clip = next((entry for entry in entries if entry.suffix.lower() in CLIPS and entry.is_file()), None)
+        if clip is not None:
+            raise SceneError(f"{folder}: holds no frames, but a clip in one file; give {clip}")
         raise SceneError(f"{folder}: holds no frames; supported are {', '.join(SUFFIXES)} and folders with {META}")
     if len(found) > MAX_FRAMES:
         raise SceneError(f"{folder}: holds {len(found)} files; the limit is {MAX_FRAMES} frames")

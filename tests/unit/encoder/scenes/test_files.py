@@ -150,7 +150,10 @@ def test_unbundled_sog_in_numbered_folders(tmp_path: Path) -> None:
 
 
 def test_folders_that_are_no_sequence(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match="holds no frames"):
+    with pytest.raises(SceneError, match="holds no frames; supported are"):
+        open_scene(str(tmp_path))
+    (tmp_path / "params.npz").write_bytes(b"")
+    with pytest.raises(SceneError, match=r"holds no frames, but a clip in one file; give .*params\.npz$"):
         open_scene(str(tmp_path))
     write_splats(tmp_path / "a.ply", REST)
     assert len(open_scene(str(tmp_path))) == 60
