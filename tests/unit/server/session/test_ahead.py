@@ -61,22 +61,36 @@ def test_of_frames_that_end_together_each_ends_as_soon_as_its_own_tiles_are_ther
         assert {message.frame for message in base if out.index(message) < end} == set(range(1, frame + 1))
 
 
-@pytest.mark.parametrize("seed", [3, 4, 5])
-def test_motion_that_begins_in_many_frames_passed_over_goes_too(seed: int) -> None:
-    """It went with later frames, if ever: what moves stood still until another chunk of it began."""
+@pytest.mark.parametrize("seed", [3, 11, 13, 16])
+def test_what_begins_in_many_frames_passed_over_goes_too(seed: int) -> None:
+    """It went with later frames, if ever: what moves stood still, and what changes looked as before."""
     scene = moving_library(f"memory://{uuid.uuid4().hex}", seed)
     rig = Rig(replace(SETTINGS, tiles_ahead=5), served=scene)
     rig.play()
     out = rig.step()
     begins = {
-        (tile.frame, tile.tile)
+        (tile.frame, tile.tile): tile.kind
         for frame in range(1, 5)
         for tile in rig.streamer._visibility.tiles(frame)
-        if tile.kind == TileKind.MOTION and tile.frame == frame and tile.looks and tile.looks[0] == 0
+        if tile.frame == frame and (tile.looks is None or tile.looks[0] == 0)
     }
-    assert begins
-    assert begins <= {*first_levels(rig.opening), *first_levels(out)}
+    assert {TileKind.MOTION, TileKind.LOOKS} <= set(begins.values())
+    assert set(begins) <= {*first_levels(rig.opening), *first_levels(out)}
     assert ends(out) == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize("references", ["auto", "none"])
+def test_a_late_render_without_a_reference_is_of_the_oldest_frame_that_is_due(references: str) -> None:
+    """It skipped frames as if it had to be in time for a reference."""
+    rig = Rig(replace(FAR, references=references))
+    rig.play()
+    for _ in range(3):
+        rig.step()
+    while rig.streamer._between_references(rig.now_us):
+        rig.step()
+    before = rig.streamer.stats.records[-1].frame
+    rig.step(late_us=round(2.5e6 / rig.library.manifest.fps))
+    assert rig.streamer.stats.records[-1].frame == before + (3 if references == "auto" else 1)
 
 
 @pytest.mark.parametrize("references", ["auto", "difference"])

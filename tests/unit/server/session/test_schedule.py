@@ -175,6 +175,13 @@ def test_a_group_of_which_nothing_was_seen_waits_longer_for_its_render() -> None
     assert unseen > seen
 
 
+def test_it_does_not_wait_longer_for_it_than_some_periods_where_renders_are_slow() -> None:
+    """It waited for half of the lead: for half a second of a lead of one, with the link idle."""
+    schedule = playing(settings=ServerSettings(lead_frames=25))
+    schedule.begin_render(0)
+    assert schedule.next_due_us(lambda: False) == AT_US - 25 * PERIOD_US + 4 * PERIOD_US
+
+
 def test_after_a_jump_of_the_clock_one_frame_stands_for_all_before_it() -> None:
     schedule = playing()
     tick, covers = schedule.go_blind(JUMP_US + 10 * PERIOD_US)
