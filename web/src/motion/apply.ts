@@ -30,9 +30,11 @@ export class MovingTile {
   private readonly kernels: Kernels;
   private readonly blocks: number[] = [];
   private part: MovingTile | undefined;
+  /** Splats of the tile that {@link part} is made of; undefined: all. */
+  private splatsOfPart: Int32Array | undefined;
   private readonly rowsAt: number;
   /** Splats of the tile's own rows, by their rows. */
-  private readonly byRow: Int32Array;
+  private byRow: Int32Array;
   /** Frame of the chunk up to which splats that have ended are left out; -1: none are. */
   private ended = -1;
   private readonly structure = new DataView(new ArrayBuffer(TILE_BYTES));
@@ -80,18 +82,30 @@ export class MovingTile {
     return this.part;
   }
 
+  /** From now on the tile is without `those` [n] of its splats that are not 0. */
+  lose(those: Uint8Array): void {
+    those.forEach((lost, i) => { if (lost) this.rows[i] = -1; });
+    this.byRow = this.byRow.filter((i) => this.rows[i]! >= 0);
+    this.writeRows();
+    if (this.part && this.part !== this) this.part.lose(pick(those, this.splatsOfPart!));
+  }
+
   /** Leave out splats that have ended by frame `until` of the chunk, and no others. */
   private leaveOut(until: number): void {
-    const { lives } = this.chunk;
-    if (!lives || until === this.ended) return;
+    if (!this.chunk.lives || until === this.ended) return;
     this.ended = until;
-    const there = (i: number): boolean => lives[i]! > until;
+    this.writeRows();
+  }
+
+  private writeRows(): void {
+    const { lives } = this.chunk;
+    const there = (i: number): boolean => !lives || lives[i]! > this.ended;
     this.kernels.i32(this.rowsAt, this.rows.length).set(this.rows.map((row, i) => (there(i) ? row : -1)));
     this.owned = pick(this.rows, this.byRow.filter(there));
   }
 
   private parted(): MovingTile {
-    const of = restless(this.chunk);
+    const of = this.splatsOfPart = restless(this.chunk);
     if (!of) return this;
     const steps = { moves: pick(this.steps.moves, of), turns: pick(this.steps.turns, of) };
     return new MovingTile(this.kernels, partOf(this.chunk, of), pick(this.rows, of), steps);

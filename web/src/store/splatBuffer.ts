@@ -58,6 +58,12 @@ class Motion {
     return this.tile!.inMotion(this.updated ? undefined : this.shown[1] - start);
   }
 
+  /** From now on `rows` [n], which {@link tileAt} was given, are without `those` [n] that are not 0. */
+  lose(rows: Int32Array, those: Uint8Array): void {
+    if (this.tile?.rows === rows) this.tile.lose(those);
+    else those.forEach((lost, i) => { if (lost) rows[i] = -1; });
+  }
+
   dispose(): void {
     this.tile?.dispose();
     this.tile = undefined;
@@ -262,7 +268,7 @@ export class SplatBuffer {
     }
     for (const index of [...counts.keys()].sort((a, b) => a - b)) {
       const slot = this.slots[index]!;
-      slot.rows = undefined;
+      slot.lost = true;
       slot.owned -= counts.get(index)!;
       if (!slot.owned) this.onReplaced(slot);
     }
@@ -422,7 +428,9 @@ export class SplatBuffer {
       const slot = this.byKey.get(looks);
       const start = slot?.owned && slot.steps ? motion.start(time) : undefined;
       if (!slot || start === undefined || motion.settled(start, time)) continue;
-      slot.rows ??= slot.ids.map((id) => (this.owners![id] === slot.index ? id : -1));
+      if (!slot.rows) slot.rows = slot.ids.map((id) => (this.owners![id] === slot.index ? id : -1));
+      else if (slot.lost) motion.lose(slot.rows, Uint8Array.from(slot.ids, (id) => Number(this.owners![id] !== slot.index)));
+      slot.lost = false;
       tiles.push(motion.tileAt(this.kernels, start, time, slot));
       const { chunk, end } = motion.chunks.get(start)!;
       slot.ended = time >= end && endsAll(chunk);

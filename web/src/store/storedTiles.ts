@@ -28,6 +28,8 @@ export class StoredLooks {
   steps: Steps | undefined;
   /** [n] ids of the splats that are the tile's still, -1 for the others; undefined: to be told anew. */
   rows: Int32Array | undefined;
+  /** Whether {@link rows} names splats that are not the tile's any more. */
+  lost = false;
 
   constructor(key: Key, sphere: Sphere, versions: Versions<LooksTile>) {
     this.key = key;
