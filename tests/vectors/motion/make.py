@@ -1,7 +1,7 @@
 """Write a vector file of chunks of motion as this program encodes them: ``python tests/vectors/motion/make.py FILE``.
 
 A file that is committed is never written again: a change of the format adds a new one. Beside the payloads of each
-chunk stand the arrays that they decode to, and its splats at a time.
+chunk stand the arrays that they decode to, and its splats at a time. Names of cases after FILE: only these.
 """
 
 from __future__ import annotations
@@ -146,10 +146,12 @@ def encoded(case: dict[str, Any], *, native: bool | None = None) -> tuple[bytes,
     return encode((3, 1), anchors_of(splats_of(case)), native=native, **case)
 
 
-def main(path: Path) -> None:
+def main(path: Path, *names: str) -> None:
     """Write the file."""
     out: dict[str, np.ndarray] = {}
     for name, options in cases().items():
+        if names and name not in names:
+            continue
         payloads, splats = encoded(options), splats_of(options)
         out |= {f"{name}/payload-{i}": np.frombuffer(payload, np.uint8) for i, payload in enumerate(payloads)}
         out |= {f"{name}/{key}": array for key, array in arrays_of(list(payloads), splats).items()}
@@ -157,4 +159,4 @@ def main(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), *sys.argv[2:])
