@@ -2,8 +2,7 @@
 
 The first frame of a group holds all splats. Each later one holds what changed: all values of splats that appear or
 whose scales or colours differ, position, rotation and opacity of splats that differ in these alone, and the ids of
-splats that went. Lossless: float32 byte planes in gzip, where those that
-deflate does not shorten are stored.
+splats that went. Lossless: float32 byte planes in gzip; planes that hardly shrink are stored uncompressed.
 """
 
 from __future__ import annotations

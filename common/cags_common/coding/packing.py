@@ -50,7 +50,7 @@ def gzip_bytes(data: bytes | memoryview, level: int = GZIP_LEVEL) -> bytes:
 
 
 def gzip_planes(planes: Sequence[memoryview], level: int) -> bytes:
-    """Gzip of all ``planes`` joined, with those stored as they are that deflate would shorten by less than a fifth.
+    """Gzip of all ``planes`` joined. Planes that deflate would shorten by less than a fifth are stored uncompressed.
 
     The low bytes of floats are next to random: inflating them takes many times as long as copying them. Repeats across
     two planes are not found.

@@ -1,7 +1,7 @@
 """Fades: opacities of splats that come and go as a Gaussian of the time.
 
 Exponentials and logarithms of libraries differ in their last bits from processor to processor. Decoders that mirror
-each other must not, so both are sums and products here, in an order of their own, which the kernel follows.
+each other must not, so both are computed here by sums and products in a fixed order, which the kernel follows.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ class Owners:
     """[attributes, capacity] the newest update of each attribute; -1 where looks are all there is. None: no updates."""
 
     counts: NDArray[np.bool_] | None
-    """[attributes, capacity] whether there is an update that no attribute before is from: each tile counts once."""
+    """[attributes, capacity] true where an update's tile is that of no attribute before: a tile counts once a splat."""
 
     @property
     def nbytes(self) -> int:

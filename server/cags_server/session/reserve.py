@@ -41,7 +41,7 @@ class Reserve:
             self.frames += 1
 
     def hold(self, frames: int = 1) -> None:
-        """That many plans are for the same frame, which comes closer by that; not closer than the least."""
+        """Plan tiles for the same frame again while its display comes ``frames`` closer; not closer than the least."""
         self.frames = max(self.frames - frames, self._least)
 
     def restart(self) -> None:

@@ -237,7 +237,7 @@ class TilePlanner:
         self, wanted: tuple[VisibleTile, ...], record: FrameRecord, now_us: int, *, newest: bool = False
     ) -> list[ev.Outgoing]:
         """Those of ``wanted`` that the rate policy chooses, and the end of the frame; ``newest``: it is the last frame
-        planned at this time, and no step between. What is outdated and may be in view goes with such a frame alone.
+        planned at this time, and no step between. Ghosts are looked for in that frame only.
         """
         ahead, camera, tiles = record.ahead, self._viewer.camera(record.predicted), wanted
         if newest:
