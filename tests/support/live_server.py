@@ -21,7 +21,7 @@ from cags_server.http.app import App
 from cags_server.scene.collection import Collection
 from cags_server.scene.library import SceneLibrary
 from cags_server.settings import ServeSettings
-from support.server_scene import hello, library
+from support.server_scene import FRAMES, hello, library
 
 
 def now_us() -> int:
@@ -91,9 +91,11 @@ class Client:
             await self.transport.send(data)
         await self.transport.close()
 
-    async def play(self) -> list[int]:
-        """Watch to the end; the media frames of the references that came."""
+    async def play(self) -> None:
+        """Watch the clip to its end."""
         await self.until(ev.FrameEnded)
+        begun = len(self.events)
         self.session.control(Control("play", 0, now_us() + 300_000), now_us=now_us())
-        await self.until(ev.FrameEnded, 12)
-        return [e.message.frame for e in self.events if isinstance(e, ev.ReferenceReceived)]
+        async with asyncio.timeout(20):
+            while not any(isinstance(e, ev.FrameEnded) and e.message.frame == FRAMES - 1 for e in self.events[begun:]):
+                await self.exchange()

@@ -22,7 +22,7 @@ from cags_protocol.wire.messages import Hello
 from cags_server.scene.library import SceneLibrary
 from cags_server.settings import ServerSettings
 
-FPS = 30.0
+FPS, FRAMES = 30.0, 12
 PAYLOAD_FRAMES = 256
 """A payload names its frame in one byte."""
 CLIENT = Intrinsics.of_fov(160, 120, 1.2, 0.95)
@@ -106,7 +106,7 @@ class FakeReader:
     def __init__(
         self,
         splats: int = 40,
-        frames: int = 12,
+        frames: int = FRAMES,
         gof: int = 6,
         tile_splats: int = 10,
         lods: int = 4,
