@@ -94,6 +94,8 @@ class Connection:
     def next_timer_us(self) -> int | None:
         """When ``handle_timer`` (and then ``next_job``) should be called next."""
         times = [self.session.next_timer_us()]
+        if self.streamer is not None:
+            times.append(self.streamer.mark_due_us)
         if self.streamer is not None and self._needed() is None:
             times += [self.streamer.next_due_us(), self.streamer.startup_due_us()]
         known = [t for t in times if t is not None]
@@ -102,6 +104,9 @@ class Connection:
     def handle_timer(self, now_us: int) -> None:
         """Do what is due."""
         self.session.handle_timer(now_us=now_us)
+        if self.streamer is not None and not self.closed:
+            self.streamer.mark_if_due(now_us)
+            self._queue_marks(self.streamer, now_us)
         if self.streamer is not None and not self.closed and self._needed() is None:
             self._recall(self.streamer, now_us)
             outgoing = self.streamer.end_startup(now_us) + self.streamer.catch_up(now_us)

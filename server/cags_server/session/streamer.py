@@ -48,7 +48,7 @@ from cags_server.settings import PLAIN, ServerSettings
 from cags_server.visibility.visibility import Visibility
 
 MARK_EVERY_US = 30_000
-"""Longest interval between marks while tiles are being sent: clients show nothing after the newest mark."""
+"""Longest time that anything sent waits for a mark: clients show nothing that came after the newest one."""
 
 LOOK_EVERY = 3
 """Frames between renders without a reference, which only determine the visible splats."""
@@ -128,6 +128,7 @@ class Streamer:
         self._went_ahead: FrameRecord | None = None  # what was sent for the pending render
         self._marks: list[ev.Outgoing] = []
         self._joined_us = self._marked_us = 0
+        self._unmarked = False  # whether anything was sent since the newest mark
         self._restarted = False  # the client was told to forget everything
         self._under_way: set[ev.Outgoing] = set()  # tiles that were written, and have not arrived
         self._forgotten: set[ev.Outgoing] = set()  # those written before the client was told to forget them
@@ -250,8 +251,8 @@ class Streamer:
         if isinstance(outgoing.message, TileLayers | FrameEnd):
             if self._coder.may_compare:
                 self._mirror.sent(outgoing.message, outgoing.payload)
-            if self._restarted if self._coder.kind is None else now_us - self._marked_us >= MARK_EVERY_US:
-                self._mark(now_us)
+            self._unmarked = True
+            self.mark_if_due(now_us)
 
     def _left(self, outgoing: ev.Outgoing) -> int | None:
         """A message has left the queue; returns the display of the frame that it ends, by the client's clock."""
@@ -290,9 +291,24 @@ class Streamer:
 
     def _mark(self, now_us: int, *, restart: bool = False) -> int:
         """Record the messages before the next one, which form the basis of references."""
-        number, self._marked_us = self._mirror.mark(), now_us
+        number, self._marked_us, self._unmarked = self._mirror.mark(), now_us, False
         self._marks.append(ev.Outgoing(Mark(number, restart)))
         return number
+
+    @property
+    def mark_due_us(self) -> int | None:
+        """Time of the next mark beside those of references; None while nothing waits for one. A client that has had no
+        mark needs none.
+        """
+        if not self._unmarked or (self._coder.kind is None and not self._restarted):
+            return None
+        return self._marked_us + (0 if self._coder.kind is None else MARK_EVERY_US)
+
+    def mark_if_due(self, now_us: int) -> None:
+        """Mark what was sent, where no later message will."""
+        due_us = self.mark_due_us
+        if due_us is not None and now_us >= due_us:
+            self._mark(now_us)
 
     def take_marks(self) -> list[ev.Outgoing]:
         """Marks to queue at once: no message may be completed before them."""

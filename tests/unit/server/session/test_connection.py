@@ -16,7 +16,7 @@ from cags_protocol.wire.messages import Control, FrameEnd, PoseSample, Reference
 from cags_server.reference.job import FrameJob, FrameRender
 from cags_server.reference.render_slots import RenderSlots
 from cags_server.session.connection import Connection
-from cags_server.session.streamer import Streamer
+from cags_server.session.streamer import MARK_EVERY_US, Streamer
 from support.server_scene import FPS, SETTINGS, FakeReader, hello, library
 from support.streamer_rig import Rig, of
 
@@ -92,6 +92,25 @@ def test_a_client_joins_plays_to_the_end_and_leaves() -> None:
     assert pair.connection.ending.code == "bye"
     assert pair.connection.next_timer_us() is None
     assert pair.connection.next_job(pair.now_us) is None
+
+
+def test_whatever_was_sent_last_is_marked_soon_though_nothing_follows_it() -> None:
+    """Clients show nothing beyond the newest mark: ends that went out right after one once waited for the next plan."""
+    pair = Pair()
+    pair.run(100)
+    pair.client.control(Control("play", 0, pair.now_us + 250_000), now_us=pair.now_us)
+    read, waits_since_us, longest_us = 0, None, 0
+    for _ in range(300):
+        pair.run(STEP_US // 1000)
+        for event in pair.events[read:]:
+            if isinstance(event, ev.MarkReceived):
+                waits_since_us = None
+            elif isinstance(event, ev.TileReceived | ev.FrameEnded):
+                waits_since_us = waits_since_us or pair.now_us
+        read = len(pair.events)
+        longest_us = max(longest_us, pair.now_us - (waits_since_us or pair.now_us))
+    assert len(pair.of(ev.FrameEnded)) == 12
+    assert longest_us <= MARK_EVERY_US + STEP_US
 
 
 @pytest.mark.parametrize(

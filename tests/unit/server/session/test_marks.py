@@ -44,8 +44,18 @@ def test_while_tiles_are_written_there_is_a_mark_every_thirtieth_of_a_second() -
         rig.now_us = began_us + 10_000 * number
         rig.send(out[number % len(out) :][:1])
     assert len(rig.marks) - first == 31 * 10_000 // MARK_EVERY_US + 1
+    rig.send(out[:1])
+    due_us = rig.streamer.mark_due_us
+    assert due_us == rig.now_us + MARK_EVERY_US
+    rig.streamer.mark_if_due(due_us - 1)
+    assert rig.take_marks() == []
+    rig.streamer.mark_if_due(due_us)
+    assert len(rig.take_marks()) == 1
+    first += 1
     rig.now_us += 10 * MARK_EVERY_US
-    assert rig.take_marks() == [], "nothing was sent"
+    assert rig.streamer.mark_due_us is None, "nothing was sent"
+    rig.streamer.mark_if_due(rig.now_us)
+    assert rig.take_marks() == []
     reference = ev.Outgoing(of(ReferenceFrame, rig.greeting)[0])
     rig.send([reference])
     assert len(rig.marks) - first == 31 * 10_000 // MARK_EVERY_US + 1, "only what is shown by marks asks for them"
