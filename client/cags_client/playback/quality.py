@@ -42,12 +42,14 @@ HITCH = 2.0
 """A picture counts for no more than so many times what was expected of it, or a period where that is more."""
 
 UP_SHARE = 0.8
-"""Of the period: what a setting may take, by what is known, to be stepped up to."""
+"""Of the period: what a setting may take, by what is known, to be stepped up to; all of it where a lower resolution
+gains little.
+"""
 
 LEAST_GAIN, WORTH_GAIN = 0.95, 0.8
 """A lower level that takes more than the share ``LEAST_GAIN`` of the time of the present one is no help. Nor is a lower
-resolution if even the lowest is not in time and takes more than ``WORTH_GAIN``: the loss of pixels is visible, the few
-milliseconds are not.
+resolution that takes more than ``WORTH_GAIN`` if few frames are too late, or if even the lowest is not in time: the
+loss of pixels is visible, the few milliseconds are not.
 """
 
 SLOW, HEADROOM = 0.85, 1.05
@@ -200,7 +202,10 @@ class Quality:
         takes_us = self._takes_us(self._level)
         if self._level == 0 or self._takes_us(self._level - 1) > LEAST_GAIN * takes_us:
             return False
-        return self._level >= len(self._scales) or self._takes_us(0) <= max(self.period_us, WORTH_GAIN * takes_us)
+        if self._level >= len(self._scales):
+            return True
+        least_us, slow = self._takes_us(0), SLOW * takes_us > self.period_us
+        return least_us <= WORTH_GAIN * takes_us or (slow and least_us <= self.period_us)
 
     @property
     def _top(self) -> int:
@@ -222,7 +227,11 @@ class Quality:
         if self.permille < EVERY_FRAME:
             wanted = self._possible
             return wanted == EVERY_FRAME or wanted > (1.0 + STEADY) * self.permille
-        return self._level < self._top and self._takes_us(self._level + 1) <= UP_SHARE * self.period_us
+        if self._level >= self._top:
+            return False
+        takes_us = self._takes_us(self._level + 1)
+        gains = self._level + 1 >= len(self._scales) or self._takes_us(0) <= WORTH_GAIN * takes_us
+        return takes_us <= (UP_SHARE if gains else 1.0) * self.period_us
 
     @property
     def _affordable(self) -> float:

@@ -16,13 +16,14 @@ class Reserve:
 
     def __init__(self, least: int, longest_s: float) -> None:
         """``least`` frames; more as long as they are displayed within ``longest_s`` seconds."""
-        self._least, self._longest_us = least, longest_s * 1e6
+        self.least, self._longest_us = least, longest_s * 1e6
+        """The fewest frames."""
         self.frames = least
 
     @property
     def grown(self) -> bool:
         """Whether it is more than the least."""
-        return self.frames > self._least
+        return self.frames > self.least
 
     def covers(self, ahead_us: float) -> bool:
         """Whether tiles may precede their frame by so much."""
@@ -42,8 +43,8 @@ class Reserve:
 
     def hold(self, frames: int = 1) -> None:
         """Plan tiles for the same frame again while its display comes ``frames`` closer; not closer than the least."""
-        self.frames = max(self.frames - frames, self._least)
+        self.frames = max(self.frames - frames, self.least)
 
     def restart(self) -> None:
         """The viewer jumped, or stopped: what lies ahead is not what was sent."""
-        self.frames = self._least
+        self.frames = self.least

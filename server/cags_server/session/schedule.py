@@ -35,6 +35,9 @@ LONGEST_LEAD_US = 600_000
 """Largest lead: a slow renderer or link makes the server plan earlier, up to this; beyond it frames are skipped."""
 
 
+MOST_PASSED = 2
+"""Largest number of displayed frames whose tiles one render passes over, beyond what the reserve holds."""
+
 JUMP_US = 1_000_000
 """Frames later than this, or earlier during a pause, indicate that a clock has jumped."""
 
@@ -195,11 +198,15 @@ class Schedule:
         return self._controlled
 
     def begin_render(self, late_us: int) -> tuple[int, int, int]:
-        """Begin to render the newest due frame; returns its tick, media frame and the number of ticks that it covers.
+        """Begin to render the newest due frame, or one before it; returns its tick, media frame and the number of ticks
+        that it covers.
 
-        The oldest due frame became due ``late_us`` ago. Frames between are skipped; their references would be late.
+        The oldest due frame became due ``late_us`` ago. Frames between are skipped; their references would be late. But
+        the tiles that go ahead are those of later frames, many of which would be passed over for one reference.
         """
         newest = last_displayed(self.next_tick + int(late_us // self.timeline.period_us), self.cadence_permille)
+        if self._planned_lead_us is not None and self.reserve.least * self.planned_period_us > late_us - self.lead_us:
+            newest = min(newest, self._last_in_turn)
         tick = max(self.next_tick, self._up_to_the_end(newest))
         frame = self.media_frame(tick)
         assert frame is not None, "a render begins at a frame that is due"
@@ -221,6 +228,14 @@ class Schedule:
         newest = self._up_to_the_end(last_displayed(self.next_tick + missed, self.cadence_permille))
         self._blind_tick = max(self.next_tick, newest)
         return self._blind_tick, self._cover(self._blind_tick)
+
+    @property
+    def _last_in_turn(self) -> int:
+        """The last tick whose tiles, by the reserve that is left after it, pass over few displayed frames."""
+        tick = self.next_tick
+        for _ in range(self.reserve.frames - self.reserve.least + MOST_PASSED):
+            tick = next_displayed(tick + 1, self.cadence_permille)
+        return tick
 
     def _cover(self, tick: int) -> int:
         """``tick`` is planned, which completes all earlier ones; returns their number, including ``tick``."""

@@ -169,7 +169,10 @@ export class Quality {
   get #lower(): boolean {
     const takesUs = this.#takesUs(this.#level);
     if (this.#level === 0 || this.#takesUs(this.#level - 1) > LEAST_GAIN * takesUs) return false;
-    return this.#level >= this.#scales.length || this.#takesUs(0) <= Math.max(this.periodUs, WORTH_GAIN * takesUs);
+    if (this.#level >= this.#scales.length) return true;
+    const leastUs = this.#takesUs(0);
+    const slow = SLOW * takesUs > this.periodUs;
+    return leastUs <= WORTH_GAIN * takesUs || (slow && leastUs <= this.periodUs);
   }
 
   get #top(): number {
@@ -190,7 +193,10 @@ export class Quality {
       const wanted = this.#possible;
       return wanted === EVERY_FRAME || wanted > (1 + STEADY) * this.permille;
     }
-    return this.#level < this.#top && this.#takesUs(this.#level + 1) <= UP_SHARE * this.periodUs;
+    if (this.#level >= this.#top) return false;
+    const takesUs = this.#takesUs(this.#level + 1);
+    const gains = this.#level + 1 >= this.#scales.length || this.#takesUs(0) <= WORTH_GAIN * takesUs;
+    return takesUs <= (gains ? UP_SHARE : 1) * this.periodUs;
   }
 
   /** How many pictures there is time for while 1,000 media frames are due: of any size. */

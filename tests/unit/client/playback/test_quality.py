@@ -81,12 +81,35 @@ def test_pixels_stay_where_fewer_save_little_and_not_enough() -> None:
     """Updates of a clip whose splats all change took 60 ms and drawing 10, and half of the pixels were given up."""
     drawn = machine(60.0, 10.0).play(20)
     assert {each.scale for each in drawn} == {1.0}
-    of = machine(27.0, 10.0)
+    of = machine(28.0, 12.0)
     of.play(2)
     assert {(each.scale, each.permille) for each in of.play(20)} == {(0.5, EVERY_FRAME)}, "enough"
     of = machine(30.0, 40.0)
     of.play(2)
     assert {each.scale for each in of.play(20)} == {0.5}, "much"
+
+
+def test_pixels_are_not_given_up_for_a_few_late_frames() -> None:
+    """*monkey* lost 30 dB in half of its frames, and was displayed no more often."""
+    of = machine(27.0, 10.0)
+    drawn = of.play(20)
+    assert {(each.scale, each.permille) for each in drawn} == {(1.0, EVERY_FRAME)}
+    assert len(ticks(drawn)) >= 0.89 * 20e6 / PERIOD_US
+    of.fixed_us, of.pixels_us = 20e3, 18e3
+    of.play(2)
+    assert {each.scale for each in of.play(20)} == {0.5}, "much is gained, as often as not all are in time"
+
+
+def test_pixels_come_back_once_all_frames_are_in_time_with_them_where_fewer_gain_little() -> None:
+    of = machine(28.0, 12.0)
+    of.play(5)
+    of.fixed_us, of.pixels_us = 23e3, 8e3
+    of.play(10)
+    assert {(each.scale, each.permille) for each in of.play(60)} == {(1.0, EVERY_FRAME)}
+    gaining = machine(5.0, 54.0)
+    gaining.play(5)
+    gaining.fixed_us, gaining.pixels_us = 1e3, 30e3
+    assert {each.scale for each in gaining.play(60)[60:]} == {0.5}, "not for so little room"
 
 
 @pytest.mark.parametrize("full_ms", [40.0, 60.0, 100.0])

@@ -12,7 +12,7 @@ from cags_protocol.timeline import Timeline
 from cags_protocol.wire.messages import Control
 from cags_server.link import LinkState
 from cags_server.session.clock import ClientClock
-from cags_server.session.schedule import FAIR, JUMP_US, LONGEST_LEAD_US, POOR, Schedule
+from cags_server.session.schedule import FAIR, JUMP_US, LONGEST_LEAD_US, MOST_PASSED, POOR, Schedule
 from cags_server.settings import ServerSettings
 from support.links import KnownLink
 
@@ -117,8 +117,30 @@ def test_frames_that_a_longer_lead_has_made_due_are_not_skipped() -> None:
     schedule.pace.observe(1_000_000, 0, 0)
     now_us, earlier_us = due_us + PERIOD_US, schedule.next_due_us(lambda: True)
     assert earlier_us is not None
+    schedule.reserve.frames += 20
     assert schedule.begin_render(now_us - earlier_us)[2] > 10
     assert schedule.planned(now_us) == 0, "one became due since the last plan, and is planned"
+
+
+def test_tiles_of_later_frames_are_not_passed_over_for_a_reference() -> None:
+    """With a lead that had grown to 0.6 s the reference of the 27th frame from the next was the first in time; of the
+    frames between, the tiles of fifteen were not due for half a second, and were not planned.
+    """
+    schedule = playing(settings=replace(SETTINGS, tiles_ahead=8))
+    planned(schedule)
+    schedule.planned(0)
+    schedule.reserve.frames = 17
+    assert planned(schedule) == 1
+    ahead, late_us = schedule.ahead(1), 12 * PERIOD_US
+    assert ahead == 18
+    tick, _, _ = schedule.begin_render(late_us)
+    assert tick == 2 + 17 - 8 + MOST_PASSED
+    assert schedule.ahead(tick) == ahead + 1 + MOST_PASSED
+    schedule.rendering = False
+    assert schedule.begin_render(late_us)[0] == tick + 1 + MOST_PASSED, "the reserve is used up"
+    schedule.rendering = False
+    tick = schedule.next_tick
+    assert schedule.begin_render(30 * PERIOD_US)[0] == tick + 30, "these tiles would be late themselves"
 
 
 def test_late_frames_that_are_left_out_after_some_were_served_late_are_skipped() -> None:
@@ -143,6 +165,7 @@ def test_of_frames_that_the_client_does_not_display_none_is_skipped(permille: in
     assert due_us is not None
     planned(schedule)
     schedule.planned(due_us)
+    schedule.reserve.frames += 8
     schedule.begin_render(8 * PERIOD_US - schedule.next_tick * PERIOD_US)
     assert schedule.planned(due_us + 8 * PERIOD_US) == skipped
 
