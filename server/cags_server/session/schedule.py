@@ -36,10 +36,10 @@ LONGEST_LEAD_US = 600_000
 
 
 MOST_PASSED = 2
-"""Largest number of displayed frames whose tiles one render passes over, beyond what the reserve holds."""
+"""Largest number of displayed frames whose tiles one plan passes over, beyond what the reserve holds."""
 
 JUMP_US = 1_000_000
-"""Frames later than this, or earlier during a pause, indicate that a clock has jumped."""
+"""Frames of a pause that are due later than this from now indicate that a clock has jumped."""
 
 
 class Schedule:
@@ -204,30 +204,41 @@ class Schedule:
         The oldest due frame became due ``late_us`` ago. Frames between are skipped; their references would be late. But
         the tiles that go ahead are those of later frames, many of which would be passed over for one reference.
         """
-        newest = last_displayed(self.next_tick + int(late_us // self.timeline.period_us), self.cadence_permille)
-        if self._planned_lead_us is not None and self.reserve.least * self.planned_period_us > late_us - self.lead_us:
-            newest = min(newest, self._last_in_turn)
-        tick = max(self.next_tick, self._up_to_the_end(newest))
+        tick = self._newest_due(late_us, self._last_in_turn if self._planned_lead_us is not None else None)
         frame = self.media_frame(tick)
         assert frame is not None, "a render begins at a frame that is due"
         self._render_covers = self._cover(tick)
         self._rendered_tick, self.rendering = tick, True
         return tick, frame, self._render_covers
 
-    def go_blind(self, late_us: float = 0.0) -> tuple[int, int]:
+    def go_blind(self, late_us: float = 0.0, *, slow: bool = False) -> tuple[int, int]:
         """Serve the next frame without a render; returns its tick and the number of ticks that it covers.
 
-        It may be the frame of the pending render, whose reference follows later. The frame became due ``late_us`` ago;
-        after a jump of the clock the newest due frame covers all earlier ones.
+        It may be the frame of the pending render, whose reference follows later. The frame became due ``late_us`` ago.
+        A ``slow`` server (:meth:`is_slow`) passes over a few; after a jump of the clock the newest due frame covers all
+        earlier ones.
         """
         unserved = self._unserved_render
         if unserved is not None:
             self._blind_tick = unserved
             return unserved, self._render_covers
-        missed = int(late_us // self.timeline.period_us) if late_us > JUMP_US else 0
-        newest = self._up_to_the_end(last_displayed(self.next_tick + missed, self.cadence_permille))
-        self._blind_tick = max(self.next_tick, newest)
+        self._blind_tick = self._newest_due(late_us, self._last_in_turn if slow else self.next_tick)
         return self._blind_tick, self._cover(self._blind_tick)
+
+    def is_slow(self, late_us: float, now_us: int) -> bool:
+        """Whether the frame that became due ``late_us`` ago is late because planning takes so long, and not because a
+        longer lead has made many frames due at once.
+        """
+        return min(late_us, now_us - self._planned_us) > self.timeline.period_us
+
+    def _newest_due(self, late_us: float, last: int | None) -> int:
+        """The newest due tick, where the oldest became due ``late_us`` ago; at most ``last`` while tiles for the oldest
+        are in time.
+        """
+        newest = last_displayed(self.next_tick + int(late_us // self.timeline.period_us), self.cadence_permille)
+        if last is not None and late_us - self.lead_us < self.reserve.least * self.planned_period_us:
+            newest = min(newest, last)
+        return max(self.next_tick, self._up_to_the_end(newest))
 
     @property
     def _last_in_turn(self) -> int:

@@ -446,7 +446,8 @@ class Streamer:
         if not (self._schedule.rendering or between):
             return []
         seen = self._next_is_seen()
-        tick, covered = self._schedule.go_blind(now_us - due_us)
+        slow = self._is_slow(now_us)
+        tick, covered = self._schedule.go_blind(now_us - due_us, slow=slow)
         plan = self._blind_plan(tick, covered, now_us)
         record = self._record(plan)
         if self._schedule.is_out(tick):
@@ -459,7 +460,9 @@ class Streamer:
         self._enter(ahead, now_us)
         told = seen and self._visibility.tells_of(ahead)
         visible = self._visibility.tiles(ahead) if told else self._tiles_in_view(ahead, plan.predicted.pose)
-        out = self._planner.beginning(plan, now_us) + self._planner.passed_over(plan, record, now_us)
+        out = self._planner.beginning(plan, now_us)
+        if not slow:
+            out += self._planner.passed_over(plan, record, now_us)
         return out + self._planner.frame(visible, record, now_us)
 
     def _enter(self, frame: int, now_us: int) -> None:
@@ -590,7 +593,9 @@ class Streamer:
         out = self._dispatch.queue(self._reference_if_useful(render, record, now_us), now_us)
         if overtaken:  # its tiles, and later ones, were sent before it
             return out
-        out += self._planner.beginning(plan, now_us) + self._planner.passed_over(plan, record, now_us)
+        out += self._planner.beginning(plan, now_us)
+        if not self._is_slow(now_us):
+            out += self._planner.passed_over(plan, record, now_us)
         out += self._planner.frame(render.visible, record, now_us)
         self._visibility.served(plan.ahead.frame, render.contribution, self._tiles.inventory)
         return out
@@ -662,6 +667,11 @@ class Streamer:
     def _sends_anew(self) -> bool:
         """Whether changed splats are sent again in every frame, because the bundle has no motion."""
         return self._library.manifest.motion is None
+
+    def _is_slow(self, now_us: int) -> bool:
+        """Whether this machine does not keep up with planning."""
+        due_us = self.frame_due_us()
+        return due_us is not None and self._schedule.is_slow(now_us - due_us, now_us)
 
     def _is_behind(self, now_us: int) -> bool:
         """Whether the next reference is of no use because the client shows an older frame.

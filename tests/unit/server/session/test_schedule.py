@@ -150,11 +150,28 @@ def test_late_frames_that_are_left_out_after_some_were_served_late_are_skipped()
     assert due_us is not None
     planned(schedule)
     schedule.planned(due_us)
-    late_us = 30 * PERIOD_US  # of a second that media is served in turn
+    late_us = 12 * PERIOD_US  # tiles ahead are in time
     assert schedule.go_blind(late_us) == (1, 1)
     assert schedule.planned(due_us + late_us) == 0
-    assert schedule.begin_render(late_us)[0] == 32
-    assert schedule.planned(due_us + late_us + 2 * PERIOD_US) == 30
+    schedule.reserve.frames += 12
+    assert schedule.begin_render(late_us)[0] == 14
+    assert schedule.planned(due_us + late_us + 2 * PERIOD_US) == 12
+
+
+def test_a_server_that_is_slow_to_plan_plans_fewer_frames() -> None:
+    """Planned one by one, each later than the one before, frames waited until thirty were given up at once."""
+    schedule = playing(settings=replace(SETTINGS, tiles_ahead=8))
+    due_us = schedule.next_due_us(lambda: True)
+    assert due_us is not None
+    planned(schedule)
+    schedule.planned(due_us)
+    late_us = 5 * PERIOD_US
+    assert not schedule.is_slow(late_us, due_us + PERIOD_US), "a longer lead has made them due, and it has just planned"
+    assert not schedule.is_slow(PERIOD_US, due_us + late_us)
+    assert schedule.is_slow(late_us, due_us + late_us)
+    assert schedule.go_blind(late_us, slow=True) == (1 + MOST_PASSED, 1 + MOST_PASSED)
+    assert schedule.go_blind(PERIOD_US, slow=True) == (5, 2), "none that is not due"
+    assert schedule.go_blind(20 * PERIOD_US, slow=True) == (26, 21), "tiles in turn would be late"
 
 
 @pytest.mark.parametrize(("permille", "skipped"), [(1000, 7), (500, 3), (250, 1)])

@@ -8,6 +8,7 @@ from cags_protocol import events as ev
 from cags_protocol.wire.messages import FrameEnd, ReferenceFrame, ReferenceKind, TileLayers
 from cags_server.link.pace import MARGIN_US
 from cags_server.session.schedule import JUMP_US, LONGEST_LEAD_US, MOST_PASSED, POOR
+from cags_server.visibility.visibility import Visibility
 from support.server_scene import SETTINGS
 from support.streamer_rig import OFFSET_US, PERIOD_US, Rig, of
 
@@ -173,6 +174,22 @@ def test_a_frame_that_stands_for_a_second_of_others_without_a_render_is_recorded
     records = rig.streamer.stats.records
     assert [record.frame for record in records] == [record.tick for record in records]
     assert records[-1].frame > JUMP_US / PERIOD_US
+
+
+@pytest.mark.parametrize(("slow", "looked_at"), [(False, [5]), (True, [7])])
+def test_a_server_that_is_slow_to_plan_looks_at_few_frames_and_ends_all(
+    monkeypatch: pytest.MonkeyPatch, slow: bool, looked_at: list[int]
+) -> None:
+    rig = Rig(replace(SETTINGS, tiles_ahead=3, references="none"), gof=12)
+    rig.play()
+    for _ in range(2):
+        rig.step()
+    looks, tiles = [], Visibility.tiles
+    monkeypatch.setattr(Visibility, "tiles", lambda self, frame: looks.append(frame) or tiles(self, frame))
+    rig.now_us = rig.frame_due_us()
+    out = rig.step(late_us=int(2.5 * PERIOD_US) if slow else 0)
+    assert looks == looked_at
+    assert [end.frame for end in of(FrameEnd, out)] == list(range(5, looked_at[-1] + 1))
 
 
 @pytest.mark.parametrize("ahead", [1, 3])
