@@ -23,7 +23,7 @@ from cags_server.ratecontrol.priorities import (
     URGENT_PRIORITY,
 )
 from cags_server.scene.library import SceneLibrary
-from cags_server.scene.tile_map import TileMap
+from cags_server.scene.tile_map import Numbers, TileMap
 from cags_server.scene.visible_tiles import VisibleTile
 from cags_server.visibility.age import VersionAge
 from cags_server.visibility.bounds import opening_tiles
@@ -244,9 +244,8 @@ class TileSender:
         ids, tiles = library.reader.removed_ids(frame), library.tile_map(frame)
         shown = self.age.shown_with(frame, [])[ids]
         older = np.flatnonzero((shown >= 0) & (tiles.frames[shown] < frame)) if len(ids) else np.zeros(0, np.intp)
-        looks = np.unique(shown[older])
-        told = [n for n in looks.tolist() if self._follows(tiles, n, frame)]
-        ended = ids[older[~np.isin(shown[older], told)]]
+        looks, where = np.unique(shown[older], return_inverse=True)
+        ended = ids[older[~self._follows(tiles, looks, frame)[where]]]
         return encode_ids(np.union1d(ended, self._ended_before(frame)).astype(np.int32))
 
     def _ended_before(self, frame: int) -> NDArray[np.int32]:
@@ -258,11 +257,16 @@ class TileSender:
         ended: NDArray[np.int32] = ids[self._library.owners(frame)[ids] < 0].astype(np.int32)
         return ended
 
-    def _follows(self, tiles: TileMap, looks: int, frame: int) -> bool:
-        """Whether the client has the motion that says what of ``looks`` ends at ``frame``; what travels may drop."""
-        of = np.array([looks], np.int32)
-        chunks = {int(tiles.chunk_at(of, at)[0]) for at in (frame - 1, frame)} - {-1}
-        return any(self.inventory.delivered_depth(*tiles.key(chunk)) for chunk in chunks)
+    def _follows(self, tiles: TileMap, looks: Numbers, frame: int) -> NDArray[np.bool_]:
+        """[m] whether the client has the motion that says what of ``looks`` [m] ends at ``frame``; what travels may
+        drop.
+        """
+        delivered = np.zeros(len(looks), np.bool_)
+        for at in (frame - 1, frame):
+            chunks = tiles.chunk_at(looks, at).tolist()
+            there = [n >= 0 and self.inventory.delivered_depth(*tiles.key(n)) > 0 for n in chunks]
+            delivered |= np.array(there, np.bool_)
+        return delivered
 
 
 def _begun_by(frame: int, tiles: list[ev.Outgoing]) -> Parts:
