@@ -3,7 +3,8 @@
 Frames are counted by *ticks* of the timeline. A client that cannot draw all frames reports how many it displays, and
 the others are skipped, because nobody would see them. One reference render is pending at a time. A frame whose render
 is overdue is served *blind*, so that media never waits for the renderer. This happens early if its group of frames was
-rendered before, and later if not, because tiles are then chosen by bounds alone.
+rendered before, and later if not, because tiles are then chosen by bounds alone. A server that is slow to plan passes
+over a few frames at once, by what the reserve holds.
 """
 
 from __future__ import annotations

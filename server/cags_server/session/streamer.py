@@ -356,10 +356,10 @@ class Streamer:
         return self._schedule.next_due_us(self._next_is_seen)
 
     def begin(self, now_us: int) -> FrameJob | None:
-        """Plan the newest due frame: predict the viewer's pose and choose the field of view. None if no frame is due.
+        """Plan a due frame: predict the viewer's pose and choose the field of view. None if no frame is due.
 
-        Earlier due frames that were not begun are skipped, because their references would be late; where no references
-        are made, the oldest one is planned.
+        It is the newest one, or one before it that skips fewer: references of those that are skipped would be late.
+        Where no references are made, the oldest one is planned.
         """
         if self._greeting_due_us is not None:
             return self._greeting(now_us) if now_us >= self._greeting_due_us else None
@@ -461,7 +461,7 @@ class Streamer:
         told = seen and self._visibility.tells_of(ahead)
         visible = self._visibility.tiles(ahead) if told else self._tiles_in_view(ahead, plan.predicted.pose)
         out = self._planner.beginning(plan, now_us)
-        if not slow:
+        if not slow:  # what passed frames began is in force in the one ahead, or of no use by then
             out += self._planner.passed_over(plan, record, now_us)
         return out + self._planner.frame(visible, record, now_us)
 
