@@ -265,7 +265,7 @@ class Streamer:
         self._schedule.controlled(control, now_us)
         self._dispatch.arrivals.restart()
         self._went_ahead = None
-        self._planner.restart()
+        self._planner.restart(goes_on=control.action != "seek")
         self._dispatch.ends.clear()
         self._tiles.client_keeps = control.keeps
         frame = self._schedule.timeline.frame  # within the clip

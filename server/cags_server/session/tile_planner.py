@@ -75,9 +75,15 @@ class TilePlanner:
         self._held_is_good = False  # the frame that the viewer is paused at, about as good as it will be
         self._followers: tuple[VisibleTile, ...] = ()  # what begins after it and was not sent, as far as looked at
         self._followed: int | None = None  # the last frame looked at for that
+        self._sent_ahead: int | None = None  # the last frame of which everything was sent before the play
 
-    def restart(self) -> None:
-        """The viewer has played, paused or jumped: what was planned before says nothing any more."""
+    def restart(self, *, goes_on: bool) -> None:
+        """The viewer has played, paused or jumped: what was planned before says nothing any more.
+
+        ``goes_on``: the media goes on where it was, so that what was sent ahead in a pause is of use.
+        """
+        whole = goes_on and self._followed is not None and not self._lacking(self._followers)
+        self._sent_ahead = self._followed if whole else None
         self._newest = self._followed = self._opening = None
         self._followers, self._held_is_good = (), False
 
@@ -99,12 +105,14 @@ class TilePlanner:
 
         Where they are many, as at the beginning, a bundle with motion brings only what begins in them: splats that
         appear, and motion and updates. Whatever else these frames show has its turn with the one planned ahead.
+        What was sent before the play is not looked at again: the first frames are due at once, and wait for their ends.
         """
+        sent, self._sent_ahead = -1 if self._sent_ahead is None else self._sent_ahead, None
         many = self._library.manifest.motion is not None and len(plan.before) > FEW_PASSED
         out: list[ev.Outgoing] = []
         for ahead in plan.before:
             ended = -1 if self._tiles.ended is None else self._tiles.ended
-            if not ended < ahead.frame < plan.ahead.frame or not self._visibility.tells_of(ahead.frame):
+            if not max(ended, sent) < ahead.frame < plan.ahead.frame or not self._visibility.tells_of(ahead.frame):
                 continue
             tiles = self._visibility.tiles(ahead.frame)
             if many:

@@ -16,6 +16,7 @@ from cags_protocol.wire.messages import FrameEnd, Mark, ReferenceFrame, TileLaye
 from cags_server.reference.job import FrameJob
 from cags_server.session.schedule import MOST_PASSED
 from cags_server.settings import PLAIN
+from cags_server.visibility.visibility import Visibility
 from support.moving_bundle import moving_library
 from support.server_scene import BIRTH, SETTINGS, FakeReader, FakeScene, hello, library
 from support.streamer_rig import OFFSET_US, Rig, of
@@ -189,6 +190,29 @@ def test_what_a_held_play_begins_with_is_there_before_it_begins() -> None:
     out = rig.step()
     assert (ends(out), first_levels(out)) == ([1, 2, 3], [])
     assert not any(mark.restart for mark in rig.marks)
+
+
+@pytest.mark.parametrize(
+    ("held", "before", "looked_at"),
+    [(6, "pause", []), (1, "pause", [1, 2]), (6, "seek", [1, 2])],
+    ids=["all was sent", "not all", "forgotten since"],
+)
+def test_frames_that_were_sent_in_a_hold_are_not_planned_again(
+    monkeypatch: pytest.MonkeyPatch, held: int, before: str, looked_at: list[int]
+) -> None:
+    """On a busy machine the plans of eight frames took 0.2 s, and the ends of the first ones came late."""
+    rig = Rig(FAR)
+    rig.poses(0, 20_000)
+    rig.control("pause", 0, 0)
+    for _ in range(held):
+        rig.step()
+    if before == "seek":
+        rig.control("seek", 0, 0, keeps=False)
+    looks, tiles = [], Visibility.tiles
+    monkeypatch.setattr(Visibility, "tiles", lambda self, frame: looks.append(frame) or tiles(self, frame))
+    rig.control("play", 0, 900_000)
+    out = rig.step()
+    assert (looks, ends(out)[-3:]) == (looked_at, [1, 2, 3])
 
 
 def test_a_long_hold_fills_the_reserve_frame_by_frame() -> None:
