@@ -35,7 +35,6 @@ aligned worse.
 LONGEST_LEAD_US = 600_000
 """Largest lead: a slow renderer or link makes the server plan earlier, up to this; beyond it frames are skipped."""
 
-
 MOST_PASSED = 2
 """Largest number of displayed frames whose tiles one plan passes over, beyond what the reserve holds."""
 
@@ -202,8 +201,8 @@ class Schedule:
         """Begin to render the newest due frame, or one before it; returns its tick, media frame and the number of ticks
         that it covers.
 
-        The oldest due frame became due ``late_us`` ago. Frames between are skipped; their references would be late. But
-        the tiles that go ahead are those of later frames, many of which would be passed over for one reference.
+        The oldest due frame became due ``late_us`` ago. Frames between are skipped, because their references would be
+        late; only a few, because tiles of as many later frames, which are in time, would be passed over.
         """
         tick = self._newest_due(late_us, self._last_in_turn if self._planned_lead_us is not None else None)
         frame = self.media_frame(tick)
@@ -243,7 +242,9 @@ class Schedule:
 
     @property
     def _last_in_turn(self) -> int:
-        """The last tick whose tiles, by the reserve that is left after it, pass over few displayed frames."""
+        """The last tick to plan next if tiles of no more than ``MOST_PASSED`` displayed frames are to be passed over,
+        once the reserve has made up for the skipped ones.
+        """
         tick = self.next_tick
         for _ in range(self.reserve.frames - self.reserve.least + MOST_PASSED):
             tick = next_displayed(tick + 1, self.cadence_permille)
