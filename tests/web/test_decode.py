@@ -21,7 +21,7 @@ DAMAGED = 400
 
 
 def test_tiles_and_updates_of_the_recorded_bundle_at_every_recorded_level(tmp_path: Path) -> None:
-    bundle = json.loads((VECTORS / "bundle" / "v8.json").read_text())
+    bundle = json.loads((VECTORS / "bundle" / "v9.json").read_text())
     base = CodebookSet.from_bytes(base64.b64decode(bundle["codebooks"])).base.to_bytes()
     bundle["base_codebooks"] = _text(base)
     run_tests("decode", tmp_path, bundle=bundle, chunks=_chunks(), bytes=_bytes())
@@ -29,7 +29,7 @@ def test_tiles_and_updates_of_the_recorded_bundle_at_every_recorded_level(tmp_pa
 
 def _chunks() -> list[dict[str, Any]]:
     """Payloads of recorded chunks, what they are told by, and the arrays that they decode to at each level."""
-    with np.load(VECTORS / "motion" / "v9.npz") as file:
+    with np.load(VECTORS / "motion" / "v11.npz") as file:
         arrays = {key: file[key] for key in file.files}
     out = []
     for name in sorted({key.split("/")[0] for key in arrays}):

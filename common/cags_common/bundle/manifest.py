@@ -21,7 +21,7 @@ from cags_common.tiles.lod import MAX_LODS, LodLayer
 from cags_common.tiles.svq import MAX_BASE_BITS
 
 FORMAT = "cags-bundle"
-VERSION = 8
+VERSION = 9
 MAX_MANIFEST_BYTES = 16 * 2**20
 MAX_FRAMES = 1_000_000
 MAX_LAGS = 64

@@ -23,7 +23,7 @@ from cags_common.motion.knots import I32, knots
 from cags_common.motion.neighbours import Anchors, Neighbours
 from cags_common.motion.symbols import Samples, SymbolReader, SymbolWriter, Tree, fade_tables, life_tables
 
-VERSION = 9
+VERSION = 11
 LEVELS = 4
 """Levels of a chunk at most."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -32,13 +32,13 @@ _ESCAPES = struct.Struct("<5I")
 LIFE_EDGES = np.array([2, 3, 5, 8])
 """Bounds of the kinds of lives that end within a span; one kind more are the others."""
 
-LIFE, WIDTH = 0, 1
+LIFE, CODED, WIDTH = 0, 1, 2
 CENTRE = WIDTH + len(LIFE_EDGES) + 2
 MOVE = CENTRE + 2
 TURN = MOVE + TOLD + 1
 REAL = TURN + TOLD + 1
-"""First tables of: lives; widths of fades by kind of life; centres by whether it ends; positions, rotations and their
-real part by class.
+"""First tables of: lives; flags whether a knot has residuals; widths of fades by kind of life; centres by whether it
+ends; positions, rotations and their real part by class.
 """
 
 
@@ -89,8 +89,11 @@ class Samples:
         """One that changes apart."""
         return Samples(self.tree, self.values.copy(), self.told.copy())
 
-    def walk(self, unit: int, coded: Callable[[Knot, Row], Code]) -> None:
-        """Take the samples on by a level of units of ``unit``, by the residuals that ``coded`` codes for each knot."""
+    def walk(self, unit: int, coded: Callable[[Knot, Row], Code]) -> Iterator[I32]:
+        """Take the samples on by a level of units of ``unit``, by the residuals that ``coded`` codes for each knot.
+
+        Yields these residuals [n, c], knot by knot.
+        """
         tree = self.tree
         contexts = Contexts(tree.near, tree.units, self.values.shape[2], turn=tree.turn)
         for knot in tree.order:
@@ -98,6 +101,7 @@ class Samples:
             row = Row(predicted(self.values, knot), before, told, unit << FRACTION_BITS)
             self.values[knot.at], residuals = contexts.walk(knot, row, coded(knot, row))
             self.told[knot.at] |= residuals != 0
+            yield residuals
 
     def kernel(self, unit: int) -> Any:
         """A level of units of ``unit``, as the kernel takes it."""
@@ -107,7 +111,8 @@ class Samples:
         first = TURN if tree.turn else MOVE
         knots, near = _knot_rows(tree.order), tree.near
         numbers = samples - 1, splats, tree.turn, unit
-        return motion.Tree(*numbers, knots, class_tables(), first, REAL, near.rows, near.fits, tree.units)
+        tables = first, REAL, CODED
+        return motion.Tree(*numbers, knots, class_tables(), *tables, near.rows, near.fits, tree.units)
 
 
 class SymbolWriter:
@@ -147,7 +152,7 @@ class SymbolWriter:
 
             tables, symbols, escapes = motion.encode_tree(part.kernel(unit), wanted, part.values, part.told, deadzone)
             self._escapes.append(escapes)
-            self._add(tables, symbols, np.tile(runs(*part.values.shape[1:]), len(part.tree.order)))
+            self._add(tables, symbols, _runs_of(tables, runs(*part.values.shape[1:])))
             return
 
         def told_by(wanted: F64, zone: F64) -> Code:
@@ -159,7 +164,18 @@ class SymbolWriter:
 
             return code
 
-        part.walk(unit, lambda knot, row: told_by(wanted[knot.at], np.where(row.told, 0.0, deadzone)))
+        def coded(knot: Knot, row: Row) -> Code:
+            self.plain(np.full(1, CODED, np.uint8), flag := np.ones(1, np.uint8))
+            begun.append((flag, len(self._symbols)))
+            return told_by(wanted[knot.at], np.where(row.told, 0.0, deadzone))
+
+        begun: list[tuple[U8, int]] = []
+        for residuals in part.walk(unit, coded):
+            flag, first = begun.pop()
+            if not residuals.any():
+                flag[0] = 0
+                for column in (self._tables, self._symbols, self._runs):
+                    del column[first:]
 
     def to_bytes(self) -> tuple[bytes, bytes]:
         """The large numbers, and the symbols."""
@@ -172,6 +188,14 @@ class SymbolWriter:
 def first_table(turn: bool, part: int) -> np.uint8:
     """The table of class 0 of one part of a tree."""
     return np.uint8((REAL if part == 0 else TURN) if turn else MOVE)
+
+
+def _runs_of(tables: U8, of_knot: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Runs of the symbols of a tree with these ``tables`` [n]; ``of_knot`` are those of a knot that has residuals."""
+    out, flags = [np.zeros(0, np.int64)], np.flatnonzero(tables == CODED)
+    for symbols in np.diff(flags, append=len(tables)):
+        out += [np.ones(1, np.int64), of_knot[: len(of_knot) if symbols > 1 else 0]]
+    return np.concatenate(out)
 
 
 @cache
@@ -248,7 +272,16 @@ class SymbolReader:
             del guess, fixed, rows
             return self.signed(first_table(part.tree.turn, at) + tables)
 
-        part.walk(unit, lambda knot, row: code)
+        def nothing(tables: U8, *told: Any) -> I32:
+            del told
+            return np.zeros(len(tables), np.int32)
+
+        def coded(knot: Knot, row: Row) -> Code:
+            del knot, row
+            return code if self.plain(np.full(1, CODED, np.uint8))[0] else nothing
+
+        for _ in part.walk(unit, coded):
+            pass
 
     def finish(self) -> None:
         """Check that everything was read."""

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from numpy.typing import NDArray
 
-ABI_VERSION = 18
+ABI_VERSION = 19
 _LIBRARY = "libcags_kernels.so"
 _REASONS = {1: "an argument is out of range", 2: "out of memory", 3: "an internal failure"}
 

@@ -40,7 +40,10 @@ class _Tree(ctypes.Structure):
     _fields_ = [
         *(
             (name, _int32)
-            for name in ("span", "splats", "parts", "turn", "knots", "first_table", "first_real_table", "unit")
+            for name in (
+                *("span", "splats", "parts", "turn", "knots"),
+                *("first_table", "first_real_table", "coded_table", "unit"),
+            )
         ),
         *((name, _Pointer) for name in ("order", "classes", "neighbours", "fits", "units")),
         ("lengths", _int64 * 4),
@@ -98,6 +101,8 @@ class Tree:
     classes: U8  # [8, 1324]
     first_table: int
     first_real_table: int
+    coded_table: int
+    """Of the flags whether a knot has residuals."""
     neighbours: I32  # [splats, 8] of each, coded before it
     fits: F32  # [splats, 8, 8]
     units: F32  # [splats]
@@ -108,8 +113,8 @@ class Tree:
         return self.span + 1, self.splats, 4 if self.turn else 3
 
     @property
-    def symbols(self) -> int:
-        """How many of them say a tree."""
+    def residuals(self) -> int:
+        """How many of them say a tree, at most."""
         return len(self.order) * self.shape[1] * self.shape[2]
 
     def structure(self) -> _Tree:
@@ -121,7 +126,7 @@ class Tree:
         order, classes = _typed(self.order, np.int32), _typed(self.classes, np.uint8)
         neighbours, fits = _fitting(self.neighbours, np.int32, near), _fitting(self.fits, np.float32, (*near, _FIT))
         arrays = classes, neighbours, fits, _fitting(self.units, np.float32, (self.splats,))
-        tables = self.first_table, self.first_real_table, self.unit
+        tables = self.first_table, self.first_real_table, self.coded_table, self.unit
         return _Tree(*numbers, *tables, order.ctypes.data, *fields(*arrays))
 
 
@@ -205,14 +210,14 @@ def encode_tree(tree: Tree, wanted: F64, samples: I32, told: U8, deadzone: float
 
     All are [span + 1, splats, parts]; ``samples`` and ``told`` are changed; see ``cags_common.motion``.
     """
-    tables, symbols = (np.empty(tree.symbols, np.uint8) for _ in range(2))
-    escapes, written, given = np.empty(tree.symbols, np.int32), _int64(), tree.structure()
+    tables, symbols = (np.empty(len(tree.order) + tree.residuals, np.uint8) for _ in range(2))
+    escapes, written, given = np.empty(tree.residuals, np.int32), (_int64 * 2)(), tree.structure()
     columns = ((wanted, np.float64), (samples, np.int32), (told, np.uint8))
     arrays = (*(_fitting(array, dtype, tree.shape) for array, dtype in columns), tables, symbols, escapes)
     encoding = _TreeEncoding(*fields(*arrays), deadzone)
     call = library().cags_motion_encode_tree
-    check(call(ctypes.byref(given), ctypes.byref(encoding), ctypes.byref(written)), "motion_encode_tree")
-    return tables, symbols, escapes[: written.value].copy()
+    check(call(ctypes.byref(given), ctypes.byref(encoding), written), "motion_encode_tree")
+    return tables[: written[0]].copy(), symbols[: written[0]].copy(), escapes[: written[1]].copy()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,7 +4,7 @@
 #include <cstring>
 #include <initializer_list>
 
-int32_t cags_abi_version() { return 18; }
+int32_t cags_abi_version() { return 19; }
 
 const char* cags_instruction_set() { return cags::name_of(cags::active_instruction_set()); }
 

@@ -27,7 +27,7 @@ def changes(arguments: tuple[Any, ...]) -> Iterator[tuple[str, Change]]:
     """Every length among the arguments of a call by its name, with what adds to it."""
     for at, argument in enumerate(arguments):
         given = getattr(argument, "_obj", argument)
-        if isinstance(given, ctypes.Array):
+        if isinstance(given, ctypes.Array) and issubclass(given._type_, ctypes.Structure):
             for index, structure in enumerate(given):
                 yield from ((f"{name} of {index}", add) for name, add in of_structure(structure))
         elif isinstance(given, ctypes.Structure):
@@ -140,7 +140,7 @@ def untold() -> Samples:
 
 def encode_tree() -> tuple[np.ndarray, ...]:
     samples = untold()
-    wanted = np.arange(samples.values.size, dtype=np.float64).reshape(samples.values.shape)
+    wanted = (np.arange(samples.values.size, dtype=np.float64) * 89 % 61).reshape(samples.values.shape)
     coded = motion.encode_tree(samples.kernel(4), wanted, samples.values, samples.told, 0.0)
     return *coded, samples.values, samples.told
 
@@ -150,7 +150,7 @@ def decode_tree() -> tuple[np.ndarray, np.ndarray]:
     assert not escapes.size
     samples = untold()
     order = samples.tree.order
-    decoder = motion.SymbolDecoder(rans.encode(tables, symbols, np.tile(runs(SPLATS, 3), len(order))))
+    decoder = motion.SymbolDecoder(rans.encode(tables, symbols, np.tile([1, *runs(SPLATS, 3)], len(order))))
     assert decoder.tree(samples.kernel(4), samples.values, samples.told, escapes, 0) == 0
     return samples.values, samples.told
 

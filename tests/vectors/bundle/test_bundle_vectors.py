@@ -87,6 +87,6 @@ def test_other_versions_are_refused_by_number() -> None:
         with pytest.raises(BundleError, match=f"version {version} is unknown; this program reads {VERSION}"):
             Manifest.from_json(json.dumps({**fields, "version": version}).encode())
     books = CodebookSet.from_bytes(raw(CONTENTS[-1]["codebooks"]))
-    for version in (1, 9):
+    for version in (1, 11):
         with pytest.raises(DecodeError, match=f"version {version}, flags 0; this program reads 10"):
             decode_base(bytes([version]) + data[1:], books)

@@ -77,6 +77,11 @@ def cases() -> dict[str, dict[str, Any]]:
             "curved": (True, False),
         },
         "all-still": {"moves": np.full((4, 9, 3), 0.5), "turns": None, "starts": True},
+        "straight": {
+            "moves": np.rint(np.linspace(0.0, 96.0, 13))[:, None, None] * random.integers(-4, 5, (1, 20, 3)),
+            "turns": smooth(random, 12, 20, 4, 0.25) * (np.arange(13) > 9)[:, None, None],
+            "starts": True,
+        },
         "one-frame": {
             "moves": smooth(random, 1, 3, 3, 1.0),
             "turns": None,

@@ -6,7 +6,7 @@ import { MAX_LODS } from "../wire/limits.ts";
 import { MAX_SPLATS } from "./packing.ts";
 
 export const FORMAT = "cags-bundle";
-export const VERSION = 8;
+export const VERSION = 9;
 const MAX_MANIFEST_BYTES = 16 * 2 ** 20;
 const MAX_FRAMES = 1_000_000;
 /** Largest sum of the groups' capacities of a clip that decoders keep whole. */

@@ -1,11 +1,11 @@
-/** A chunk of motion as far as it has come, as `cags_common.motion.chunk`: format 8, up to four levels. */
+/** A chunk of motion as far as it has come, as `cags_common.motion.chunk`: format 11, up to four levels. */
 import { DecodeError } from "../bytes/errors.ts";
 import { unsqueeze } from "../bytes/inflate.ts";
 import { check, type Kernels } from "../decode/kernels.ts";
 import { classTables, CLASSES, KNOT_NUMBERS, knots } from "./knots.ts";
 import { pick } from "./parts.ts";
 
-export const MOTION_VERSION = 9;
+export const MOTION_VERSION = 11;
 /** Levels of a chunk at most. */
 export const LEVELS = 4;
 const REFINEMENT = 4;
@@ -27,7 +27,9 @@ const FADE_WIDTHS = Array.from({ length: 48 }, (_, i) => 2 ** (i / 4 - 3));
 const FADE_STEP = 4;
 const LIFE_EDGES = [2, 3, 5, 8];
 const LIFE_TABLE = 0;
-const WIDTH_TABLE = 1;
+/** Of the flags whether a knot has residuals. */
+const CODED_TABLE = 1;
+const WIDTH_TABLE = 2;
 const CENTRE_TABLE = WIDTH_TABLE + LIFE_EDGES.length + 2;
 const MOVE_TABLE = CENTRE_TABLE + 2;
 const TURN_TABLE = MOVE_TABLE + CLASSES + 1;
@@ -400,8 +402,9 @@ class SymbolReader {
       const [escapes, escape, tree] = [scope.put(this.escapes), scope.take(8), scope.take(TREE_BYTES)];
       const [parts, splats] = [turn ? 4 : 3, units.length];
       const unit = REFINEMENT ** (LEVELS - 1 - level);
-      const numbers = [span, splats, parts, turn ? 1 : 0, order.length / KNOT_NUMBERS, turn ? TURN_TABLE : MOVE_TABLE, REAL_TABLE, unit];
-      k.i32(tree, 13).set([...numbers, knotsAt, classesAt, rows, fits, unitsAt]);
+      const tables = [turn ? TURN_TABLE : MOVE_TABLE, REAL_TABLE, CODED_TABLE];
+      const numbers = [span, splats, parts, turn ? 1 : 0, order.length / KNOT_NUMBERS, ...tables, unit];
+      k.i32(tree, 14).set([...numbers, knotsAt, classesAt, rows, fits, unitsAt]);
       k.view(escape, 8).setBigInt64(0, BigInt(this.at), true);
       k.writeLengths(tree + TREE_LENGTHS, [classes.length, near.rows.length, near.fits.length, units.length]);
       const [large, length] = [BigInt(this.escapes.length), BigInt(told.length)];

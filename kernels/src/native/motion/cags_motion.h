@@ -27,6 +27,7 @@ struct CagsMotionTree {
   int32_t parts, turn;  // 3 and 0, or 4 and 1
   int32_t knots;
   int32_t first_table, first_real_table;
+  int32_t coded_table;        // of the flags whether a knot has residuals
   int32_t unit;               // finest units a unit of the residuals, a power of two
   const CagsKnot* order;      // [knots]
   const uint8_t* classes;     // [8, 1324] of a residual, by what is known and what it tells
@@ -72,8 +73,8 @@ struct CagsTreeEncoding {
   const double* wanted;       // [span + 1, splats, parts] in finest units, every value within 2^26
   int32_t* samples;           // of that shape, in 1/64 of the finest unit: as told so far
   uint8_t* told;              // of that shape: not 0 where a coarser level had a residual, becomes 1 where this one has
-  uint8_t *tables, *symbols;  // [knots splats parts]
-  int32_t* escapes;           // as many at most
+  uint8_t *tables, *symbols;  // [knots (1 + splats parts)] at most
+  int32_t* escapes;           // [knots splats parts] at most
   int64_t lengths[6];         // elements of the six, in their order
   double deadzone;
 };
@@ -104,6 +105,7 @@ CAGS_API int32_t cags_motion_neighbours(const float* positions, int64_t position
 CAGS_API int32_t cags_motion_decode_tree(const CagsMotionTree* tree, void* decoder, const uint8_t* escapes,
                                          int64_t escapes_length, int64_t* escape, uint8_t* told, int64_t told_length,
                                          int32_t* samples, int64_t samples_length);
-CAGS_API int32_t cags_motion_encode_tree(const CagsMotionTree* tree, const CagsTreeEncoding* given, int64_t* escape_count);
+// written [2]: how many symbols, and how many escapes
+CAGS_API int32_t cags_motion_encode_tree(const CagsMotionTree* tree, const CagsTreeEncoding* given, int64_t* written);
 
 CAGS_API int32_t cags_motion_rows(const CagsMotionTile* tiles, int32_t count, const CagsMotionArrays* arrays, int32_t threads);

@@ -28,8 +28,8 @@ bool valid(const CagsMotionTree& tree) {
   if (tree.span < 1 || tree.span > CAGS_MAX_SPAN || tree.splats < 0 || tree.splats > CAGS_MAX_TILE_SPLATS) return false;
   if (int64_t{tree.splats} * (tree.span + 1) > kMaxSamples || tree.knots < 0 || tree.knots > tree.span + 1) return false;
   if (tree.turn < 0 || tree.turn > 1 || tree.parts != 3 + tree.turn) return false;
-  if (std::min(tree.first_table, tree.first_real_table) < 0 || std::max(tree.first_table, tree.first_real_table) > 32)
-    return false;
+  const auto [lowest, highest] = std::minmax({tree.first_table, tree.first_real_table, tree.coded_table});
+  if (lowest < 0 || highest > kMaxTables - kClasses - 1) return false;
   if (tree.unit < 1 || tree.unit > 1 << 20 || !std::has_single_bit(static_cast<uint32_t>(tree.unit))) return false;
   const int64_t near = int64_t{CAGS_NEIGHBOURS} * tree.splats;
   const int64_t wanted[] = {kKnown * kSums, near, near * CAGS_FIT, tree.splats};
@@ -52,8 +52,9 @@ bool valid(const CagsMotionTree& tree) {
 int64_t samples_of(const CagsMotionTree& tree) { return int64_t{tree.span + 1} * tree.splats * tree.parts; }
 
 bool fits(const CagsTreeEncoding& given, const CagsMotionTree& tree) {
-  const int64_t samples = samples_of(tree), symbols = int64_t{tree.knots} * tree.splats * tree.parts;
-  const int64_t wanted[] = {samples, samples, samples, symbols, symbols, symbols};
+  const int64_t samples = samples_of(tree), residuals = int64_t{tree.knots} * tree.splats * tree.parts;
+  const int64_t symbols = tree.knots + residuals;
+  const int64_t wanted[] = {samples, samples, samples, symbols, symbols, residuals};
   return std::equal(std::begin(wanted), std::end(wanted), given.lengths);
 }
 
@@ -159,6 +160,19 @@ class Walk {
         which_(tree.splats),
         told_(tree.splats),
         counted_(tree.splats) {}
+
+  // Takes on the samples of a `knot` without residuals.
+  void silent(const CagsKnot& knot, const int32_t* line, int32_t* samples, uint8_t* told) {
+    const int64_t count = int64_t{tree_.splats} * tree_.parts;
+    if (std::any_of(told, told + count, [](uint8_t value) { return value != 0; })) {  // others may follow those told
+      auto none = [](const Run& run) -> int32_t { return std::fill_n(run.residuals, run.group.count, 0), CAGS_OK; };
+      this->knot(knot, line, samples, told, none);
+      return;
+    }
+    std::copy_n(line, count, samples);
+    std::fill_n(activity_.data() + size_t(tree_.splats) * knot.at, tree_.splats, uint8_t{0});
+    coded_[knot.at] = true;
+  }
 
   // Goes through the residuals of `knot`: code(run) sets those of each run and returns a status. `line` [splats, parts]
   // is what the samples before lead to expect, `samples` of that shape are taken on, and so are those that are `told`.
@@ -342,7 +356,9 @@ int32_t decode(const CagsMotionTree& tree, SymbolDecoder& decoder, Escapes& esca
   const int64_t row_size = int64_t{tree.splats} * tree.parts;
   std::vector<uint8_t> symbols(tree.splats);
   std::vector<int32_t> line(row_size);
-  const bool all_there = std::max(tree.first_table + kClasses, tree.first_real_table + kRealClasses) < decoder.tables;
+  const int last = std::max(tree.first_table + kClasses, tree.first_real_table + kRealClasses);
+  const bool all_there = last < decoder.tables;
+  if (tree.knots && tree.coded_table >= decoder.tables) return CAGS_SYMBOLS_TABLE;
   auto code = [&](const Run& run) -> int32_t {
     const int count = run.group.count;
     if (!all_there && std::any_of(run.tables, run.tables + count, [&](uint8_t t) { return t >= decoder.tables; })) {
@@ -359,7 +375,14 @@ int32_t decode(const CagsMotionTree& tree, SymbolDecoder& decoder, Escapes& esca
   for (const CagsKnot* knot = tree.order; knot < tree.order + tree.knots; knot++) {
     predict(*knot, row_size, samples, line.data());
     int32_t* row = samples + knot->at * row_size;
-    if (const int32_t status = walk.knot(*knot, line.data(), row, told + knot->at * row_size, code)) return status;
+    uint8_t *row_told = told + knot->at * row_size, coded;
+    const uint8_t table = static_cast<uint8_t>(tree.coded_table);
+    if (!decoder.take(1, &table, &coded)) return CAGS_SYMBOLS_END;
+    if (!coded) {
+      walk.silent(*knot, line.data(), row, row_told);
+    } else if (const int32_t status = walk.knot(*knot, line.data(), row, row_told, code)) {
+      return status;
+    }
   }
   return CAGS_OK;
 }
@@ -380,6 +403,15 @@ struct Written {
   uint8_t *tables, *symbols;
   int32_t* escapes;
   int64_t count = 0, escape_count = 0;
+
+  // Writes the flag of a knot whose residuals follow.
+  void begin(int table) { tables[count] = static_cast<uint8_t>(table), symbols[count++] = 1; }
+
+  // Takes back the residuals of the knot that began at `first` where all of them are zero.
+  void end(int64_t first) {
+    if (std::any_of(symbols + first + 1, symbols + count, [](uint8_t symbol) { return symbol != 0; })) return;
+    symbols[first] = 0, count = first + 1;
+  }
 
   // Writes a run of `values`, each by its table.
   void put(const Run& run, const int32_t* __restrict values) {
@@ -418,7 +450,10 @@ void encode(const CagsMotionTree& tree, const CagsTreeEncoding& given, Written& 
       return CAGS_OK;
     };
     predict(*knot, row_size, given.samples, line.data());
+    const int64_t first = out.count;
+    out.begin(tree.coded_table);
     walk.knot(*knot, line.data(), given.samples + knot->at * row_size, given.told + knot->at * row_size, code);
+    out.end(first);
   }
 }
 
@@ -438,10 +473,10 @@ int32_t cags_motion_decode_tree(const CagsMotionTree* tree, void* decoder, const
   return ran == CAGS_OK ? status : ran;
 }
 
-int32_t cags_motion_encode_tree(const CagsMotionTree* tree, const CagsTreeEncoding* given, int64_t* escape_count) {
+int32_t cags_motion_encode_tree(const CagsMotionTree* tree, const CagsTreeEncoding* given, int64_t* written) {
   if (!valid(*tree) || !fits(*given, *tree)) return CAGS_INVALID;
   Written out{given->tables, given->symbols, given->escapes};
   const int32_t ran = cags::guarded([&] { encode(*tree, *given, out); });
-  *escape_count = out.escape_count;
+  written[0] = out.count, written[1] = out.escape_count;
   return ran;
 }

@@ -71,7 +71,7 @@ def test_unknown_fields_are_left_alone() -> None:
 @pytest.mark.parametrize(
     ("fields", "says"),
     [
-        *(({"version": old}, f"version {old} is unknown; this program reads 8, encode again") for old in (1, 4)),
+        *(({"version": old}, f"version {old} is unknown; this program reads 9, encode again") for old in (1, 4)),
         ({"format": "zip"}, "is not a cags-bundle"),
         ({"frames": 0}, "frames = 0"),
         ({"frames": "5"}, "frames = '5' must be a whole number"),

@@ -257,13 +257,13 @@ def test_a_curve_of_what_is_not_told_is_refused(flag: int, levels: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("at", "value"), [(0, 8), (0, 10), (1, 64 | chunks.STARTS), (1, 128), (3, 5), (4, 5), (3, 255), (4, 255)]
+    ("at", "value"), [(0, 9), (0, 12), (1, 64 | chunks.STARTS), (1, 128), (3, 5), (4, 5), (3, 255), (4, 255)]
 )
 def test_other_versions_unknown_flags_and_more_levels_are_refused(at: int, value: int) -> None:
     payload = bytearray(encode((0, 0), together(2), np.zeros((3, 2, 3)), np.zeros((3, 2, 4)), starts=True)[0])
     payload[at] = value
     for read in (lambda data: ChunkDecoder(data, together(2)), chunks.read_looks):
-        with pytest.raises(DecodeError, match="this program reads 9"):
+        with pytest.raises(DecodeError, match="this program reads 11"):
             read(bytes(payload))
 
 
@@ -271,7 +271,7 @@ def test_the_head_is_laid_out_as_documented() -> None:
     moves, turns = (np.full((SPAN + 1, SPLATS, parts), 50.0) for parts in (3, 4))
     curved, told = (False, True), (3, 2)
     first, *_ = encode((300, 70_000), LOOKS, moves, turns, starts=True, finer=(2, 1), told=told, curved=curved)
-    assert first[:5] == bytes([9, chunks.STARTS | chunks.CURVED_TURNS, SPAN, *told])
+    assert first[:5] == bytes([11, chunks.STARTS | chunks.CURVED_TURNS, SPAN, *told])
     numbers = [int.from_bytes(first[at : at + 4], "little") for at in (5, 9, 13, 19, 23, 27)]
     assert numbers[:3] == [300, 70_000, SPLATS] and first[17:19] == bytes([2, 1])
     assert sum(numbers[3:]) == len(first) - 31
