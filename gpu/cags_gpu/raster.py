@@ -18,10 +18,9 @@ from cags_common.geometry import F32, Camera
 from cags_common.raster.base import DepthKind, RasterScene, RenderedView, RenderOptions
 from cags_common.raster.checks import (
     MIN_QUATERNION_NORM,
+    change,
     check_camera,
     drawable,
-    movement,
-    replacements,
 )
 from cags_common.splats import Splats
 from cags_gpu.device import DeviceLostError
@@ -66,15 +65,18 @@ class GpuScene:
     def __len__(self) -> int:
         return len(self._splats)
 
-    def update(self, rows: NDArray[np.integer], splats: Splats) -> None:
-        """Replace the splats at ``rows`` [M]."""
-        new, indices = replacements(rows, splats, len(self), self._splats.sh_rest.shape[1])
-        indices, last = _last_of_each(indices)
-        new = new.take(last)
+    @property
+    def _held(self) -> tuple[int, int]:
+        return len(self._splats), self._splats.sh_rest.shape[1]
+
+    def update(self, rows: NDArray[np.integer], splats: Splats, threads: int = 1) -> None:
+        """Take the splats at ``rows`` [M] from ``splats``, those of the whole scene."""
+        indices, _ = change(rows, splats, self._held)
+        new = drawable(splats.take(indices))
         for (_, held), (_, given) in zip(self._splats.arrays(), new.arrays(), strict=True):
             held[indices] = given
         if self._stand_in is not None:
-            self._stand_in.update(indices, new)
+            self._stand_in.update(indices, self._splats, threads)
         self._change(Columns.of(indices, new))
 
     def move(self, rows: NDArray[np.integer], splats: Splats, threads: int = 1) -> None:
@@ -82,7 +84,7 @@ class GpuScene:
 
         36 bytes a row go to the device.
         """
-        indices, logits = movement(rows, splats, len(self))
+        indices, logits = change(rows, splats, self._held)
         moved = np.take(splats.means, indices, axis=0), logits[indices], np.take(splats.quats, indices, axis=0)
         if not _can_be_drawn(*moved):
             drawable(splats.take(indices))  # says what is wrong with them
@@ -195,12 +197,6 @@ def _empty_view(camera: Camera, options: RenderOptions) -> RenderedView:
     depth = None if options.depth is DepthKind.NONE else np.full(shape, np.inf, np.float32)
     contribution = np.zeros(0, np.float32) if options.contribution else None
     return RenderedView(np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32), depth, contribution)
-
-
-def _last_of_each(rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The rows without repetition, and where the last mention of each stands: it wins, as in numpy."""
-    unique, backwards = np.unique(rows[::-1], return_index=True)
-    return unique, len(rows) - 1 - backwards
 
 
 def _can_be_drawn(means: F32, logits: F32, quats: F32) -> bool:

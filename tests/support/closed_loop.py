@@ -34,9 +34,9 @@ class KeptScene:
     def __init__(self, splats: Splats) -> None:
         self.splats = copied(splats)
 
-    def update(self, rows: np.ndarray, splats: Splats) -> None:
+    def update(self, rows: np.ndarray, splats: Splats, threads: int = 1) -> None:
         for (_, mine), (_, theirs) in zip(self.splats.arrays(), splats.arrays(), strict=True):
-            mine[rows] = theirs
+            mine[rows] = theirs[rows]
 
     def move(self, rows: np.ndarray, splats: Splats, threads: int = 1) -> None:
         for name in MOVING_COLUMNS:

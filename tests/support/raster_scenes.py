@@ -28,6 +28,14 @@ def random_splats(
     )
 
 
+def changed(splats: Splats, rows: np.ndarray, new: Splats) -> Splats:
+    """``splats`` with the ``new`` ones at ``rows``."""
+    columns = {name: array.copy() for name, array in splats.arrays()}
+    for name, array in new.arrays():
+        columns[name][rows] = array
+    return Splats(**columns)
+
+
 def splat(
     mean: tuple[float, float, float] = (0.0, 0.0, 0.0),
     *,

@@ -201,9 +201,9 @@ class FakeScene:
     def __len__(self) -> int:
         return len(self._splats)
 
-    def update(self, rows: Any, splats: Splats) -> None:
+    def update(self, rows: Any, splats: Splats, threads: int = 1) -> None:
         for (_, target), (_, values) in zip(self._splats.arrays(), splats.arrays(), strict=True):
-            target[rows] = values
+            target[rows] = values[rows]
 
     def move(self, rows: Any, splats: Splats, threads: int = 1) -> None:
         for name in MOVING_COLUMNS:

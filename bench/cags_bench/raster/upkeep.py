@@ -25,7 +25,7 @@ Line = dict[str, Any]
 def upkeep_line(name: str, splats: Splats, camera: Camera, repetitions: int) -> Line:
     """Median times of interleaved repetitions, ms; renders use one thread. ``camera`` is a reference frame's."""
     rows = np.sort(np.random.default_rng(0).choice(len(splats), min(UPDATED, len(splats)), replace=False))
-    part, scene = splats.take(rows), create("cpu").load(splats)
+    scene = create("cpu").load(splats)
     flat = replace(splats, sh_rest=np.zeros((len(splats), 0, 3), np.float32))
     zeros = replace(splats, sh_rest=np.zeros((len(splats), SH_REST_OF_DEGREE[3], 3), np.float32))
     full = replace(zeros, sh_rest=np.full_like(zeros.sh_rest, 0.01))
@@ -33,7 +33,7 @@ def upkeep_line(name: str, splats: Splats, camera: Camera, repetitions: int) -> 
     options = RenderOptions(threads=1, depth=DepthKind.NONE)
     actions: dict[str, Callable[[], object]] = {
         "load": lambda: create("cpu").load(splats),
-        "update": lambda: scene.update(rows, part),
+        "update": lambda: scene.update(rows, splats),
         "move": lambda: scene.move(rows, splats, 2),
         "contribution": lambda: scene.render(camera, replace(options, contribution=True)),
         "contribution_2_threads": lambda: scene.render(camera, replace(options, contribution=True, threads=2)),

@@ -391,10 +391,10 @@ class ClientPipeline:
         if len(committed.moved):
             self._scene.move(committed.moved, store.splats, self.settings.threads)
         if len(committed.rows):
-            changed = store.splats.take(committed.rows)
-            self._scene.update(committed.rows, changed)
+            self._scene.update(committed.rows, store.splats, self.settings.threads)
             if self._sh_degree < self.info.sh_degree:
-                self._sh_degree = max(self._sh_degree, held_sh_degree(changed.sh_rest))
+                changed = store.splats.sh_rest.take(committed.rows, axis=0)
+                self._sh_degree = max(self._sh_degree, held_sh_degree(changed))
         return self._scene
 
     def _options(self, plan: PassPlan) -> RenderOptions:

@@ -128,15 +128,18 @@ class RasterScene(Protocol):
 
     def __len__(self) -> int: ...
 
-    def update(self, rows: NDArray[np.integer], splats: Splats) -> None:
-        """Replace the splats at ``rows`` [M]; the cost is proportional to M."""
+    def update(self, rows: NDArray[np.integer], splats: Splats, threads: int = 1) -> None:
+        """Take the splats at ``rows`` [M] from ``splats``, those of the whole scene; the cost is proportional to M.
+
+        Raises ``ValueError`` for ``splats`` that are not as many as the scene's or of another SH degree, ``IndexError``
+        for rows beyond, and :class:`cags_common.errors.SceneError` for what cannot be drawn; nothing changes then.
+        """
         ...
 
     def move(self, rows: NDArray[np.integer], splats: Splats, threads: int = 1) -> None:
-        """Take position, rotation and opacity of the splats at ``rows`` [M] from ``splats``, those of the whole scene.
+        """The same of position, rotation and opacity alone, for a fraction of the cost.
 
-        Their other attributes must be those that the scene was given. Costs a fraction of :meth:`update`. Raises
-        ``ValueError`` where ``splats`` are not as many as the scene's, and what :meth:`update` raises.
+        The other attributes must be those that the scene was given.
         """
         ...
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,35 +36,17 @@ def drawable(splats: Splats, source: str = "splats") -> Splats:
     return Splats(**arrays)
 
 
-def replacements(
-    rows: NDArray[np.integer], splats: Splats, count: int, harmonics: int
-) -> tuple[Splats, NDArray[np.int64]]:
-    """``splats`` and ``rows`` as they replace those of a scene of ``count`` splats with ``harmonics`` a channel.
+def change(rows: NDArray[np.integer], splats: Splats, held: tuple[int, int]) -> tuple[NDArray[np.int64], F32]:
+    """Rising ``rows`` once each, and opacity logits [N] that can be drawn, for a scene that takes them from ``splats``
+    [N]; ``held``: its splats, and their harmonics a channel.
 
-    Missing harmonics are zero. Raises ``ValueError`` for more of them than the scene has and for rows that are not one
-    for each splat, ``IndexError`` for rows outside the scene, and what :func:`drawable` raises.
+    Raises ``ValueError`` for splats that are not the scene's and ``IndexError`` for rows outside it.
     """
-    new, indices = drawable(splats), np.ascontiguousarray(rows, dtype=np.int64)
-    if indices.shape != (len(new),):
-        raise ValueError(f"{len(new)} splats for rows of shape {indices.shape}; give one row for each")
-    _check_rows(indices, count)
-    rest = new.sh_rest
-    if rest.shape[1] > harmonics:
-        raise ValueError(f"splats of SH degree {new.sh_degree} do not fit a scene with {harmonics} harmonics a channel")
-    if rest.shape[1] < harmonics:
-        padded = np.zeros((len(new), harmonics, 3), np.float32)
-        padded[:, : rest.shape[1]] = rest
-        new = replace(new, sh_rest=padded)
-    return new, indices
-
-
-def movement(rows: NDArray[np.integer], splats: Splats, count: int) -> tuple[NDArray[np.int64], F32]:
-    """Rising ``rows`` once each, and opacity logits [N] that can be drawn, for a scene of ``count`` splats that take
-    their places of ``splats`` [N]; raises as above, but for values.
-    """
-    indices = np.ascontiguousarray(rows, dtype=np.int64)
+    indices, (count, harmonics) = np.ascontiguousarray(rows, dtype=np.int64), held
     if indices.ndim != 1 or len(splats) != count:
         raise ValueError(f"{len(splats)} splats for a scene of {count}; rows of shape {indices.shape}")
+    if splats.sh_rest.shape[1] != harmonics:
+        raise ValueError(f"splats of SH degree {splats.sh_degree} for a scene with {harmonics} harmonics a channel")
     if len(indices) > 1 and not (np.diff(indices) > 0).all():
         indices = np.unique(indices)
     _check_rows(indices, count)

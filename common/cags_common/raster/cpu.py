@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ import cags_kernels
 from cags_common.errors import CagsError, ConfigError
 from cags_common.geometry import F32, Camera
 from cags_common.raster.base import DepthKind, Exactness, RasterScene, RenderedView, RenderOptions
-from cags_common.raster.checks import check_camera, drawable, movement, replacements
+from cags_common.raster.checks import change, check_camera, drawable
 from cags_common.runtime.threads import threads_for_rows
 from cags_common.splats import Splats
 
@@ -36,6 +37,8 @@ BOUNDS = {
     Exactness.EXACT: ErrorBound(usual=1e-5, largest=0.004),
 }
 """The levels' bounds; docs/rasteriser.md tells what each level gives up."""
+
+_Take = Callable[[NDArray[np.int64], tuple[F32, ...], int], None]
 
 _EXACTNESS = {Exactness.FAST: 0, Exactness.BALANCED: 1, Exactness.EXACT: 2}
 _DEPTH = {DepthKind.NONE: 0, DepthKind.EXPECTED: 1}
@@ -68,17 +71,18 @@ class CpuScene:
     def __len__(self) -> int:
         return self._native.count
 
-    def update(self, rows: NDArray[np.integer], splats: Splats) -> None:
-        """Replace the splats at ``rows`` [M]."""
-        new, indices = replacements(rows, splats, len(self), self._harmonics)
-        self._native.update(indices, _arrays(new))
+    def update(self, rows: NDArray[np.integer], splats: Splats, threads: int = 1) -> None:
+        """Take the splats at ``rows`` [M] from ``splats``, those of the whole scene."""
+        self._change(self._native.update, rows, splats, threads)
 
     def move(self, rows: NDArray[np.integer], splats: Splats, threads: int = 1) -> None:
         """Take position, rotation and opacity at ``rows`` [M] from ``splats``, those of the whole scene."""
-        indices, logits = movement(rows, splats, len(self))
+        self._change(self._native.move, rows, splats, threads)
+
+    def _change(self, take: _Take, rows: NDArray[np.integer], splats: Splats, threads: int) -> None:
+        indices, logits = change(rows, splats, (len(self), self._harmonics))
         try:
-            moved = _arrays(replace(splats, logit_opacities=logits))
-            self._native.move(indices, moved, threads_for_rows(len(indices), threads))
+            take(indices, _arrays(replace(splats, logit_opacities=logits)), threads_for_rows(len(indices), threads))
         except cags_kernels.KernelError:
             drawable(splats.take(indices))  # says what is wrong with them
             raise

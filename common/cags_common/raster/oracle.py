@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cags_common.geometry import F32, F64, Camera
 from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderedView, RenderOptions
-from cags_common.raster.checks import check_camera, drawable, movement, replacements
+from cags_common.raster.checks import change, check_camera, drawable
 from cags_common.raster.definition import ALPHA_CUT, ALPHA_MAX, JACOBIAN_MARGIN, MAX_DEPTH, MAX_SCALE, content_hash
 from cags_common.raster.harmonics import harmonics
 from cags_common.splats import SH_C0, SH_REST_OF_DEGREE, Splats
@@ -62,20 +62,18 @@ class OracleScene:
     def __len__(self) -> int:
         return len(self._splats)
 
-    def update(self, rows: NDArray[np.integer], splats: Splats) -> None:
-        """Replace the splats at ``rows`` [M]."""
-        new, rows = replacements(rows, splats, len(self), self._splats.sh_rest.shape[1])
-        columns = {name: array.copy() for name, array in self._splats.arrays()}
-        for name, array in new.arrays():
-            columns[name][rows] = array
-        self._splats = Splats(**columns)
+    def update(self, rows: NDArray[np.integer], splats: Splats, threads: int = 1) -> None:
+        """Take the splats at ``rows`` [M] from ``splats``, those of the whole scene."""
+        self._take([name for name, _ in splats.arrays()], rows, splats)
 
     def move(self, rows: NDArray[np.integer], splats: Splats, threads: int = 1) -> None:
         """Take position, rotation and opacity at ``rows`` [M] from ``splats``, those of the whole scene."""
-        rows, _ = movement(rows, splats, len(self))
-        new = drawable(splats.take(rows))
-        columns = dict(self._splats.arrays())
-        for name in ("means", "quats", "logit_opacities"):
+        self._take(["means", "quats", "logit_opacities"], rows, splats)
+
+    def _take(self, names: list[str], rows: NDArray[np.integer], splats: Splats) -> None:
+        rows, _ = change(rows, splats, (len(self), self._splats.sh_rest.shape[1]))
+        new, columns = drawable(splats.take(rows)), dict(self._splats.arrays())
+        for name in names:
             columns[name] = columns[name].copy()
             columns[name][rows] = getattr(new, name)
         self._splats = Splats(**columns)

@@ -161,36 +161,28 @@ class NativeScene:
         if handle:
             self._library.cags_raster_scene_destroy(handle)
 
-    def update(self, rows: NDArray[np.int64], splats: tuple[F32, ...]) -> None:
-        """Replace the splats at ``rows`` [M]; as many SH coefficients as at creation."""
-        given, rows = _splats(splats), self._rows(rows, len(splats[0]))
-        if splats[5].shape[1] != self._coefficients:
-            raise ValueError(f"{splats[5].shape[1]} SH coefficients for a scene of {self._coefficients}")
-        update = self._library.cags_raster_scene_update
-        status = update(self._handle, *sized(rows), ctypes.byref(given))
-        check(status, "raster_scene_update")
+    def update(self, rows: NDArray[np.int64], splats: tuple[F32, ...], threads: int = 1) -> None:
+        """Take the splats at ascending ``rows`` [M] from ``splats``, arrays [N] of the whole scene.
 
-    def _rows(self, rows: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-        """Check ``rows``: there must be ``count`` of them, all within the scene."""
-        if rows.shape != (count,) or not np.issubdtype(rows.dtype, np.integer):
-            raise ValueError(f"rows of shape {rows.shape} and type {rows.dtype} for {count} splats")
-        if count and not 0 <= int(rows.min()) <= int(rows.max()) < self.count:
-            raise ValueError(f"rows {int(rows.min())} to {int(rows.max())} of a scene of {self.count}")
-        return np.ascontiguousarray(rows, dtype=np.int64)
+        Raises :class:`cags_kernels.KernelError` if a splat cannot be drawn; the scene is then unchanged.
+        """
+        self._change("raster_scene_update", rows, splats, threads)
 
     def move(self, rows: NDArray[np.int64], splats: tuple[F32, ...], threads: int = 1) -> None:
-        """Take position, rotation and opacity at ascending ``rows`` [M] from ``splats``, arrays [N] of the whole scene.
+        """The same of position, rotation and opacity; their other attributes must equal those of the scene."""
+        self._change("raster_scene_move", rows, splats, threads)
 
-        Their other attributes must equal those of the scene. Raises :class:`cags_kernels.KernelError` if a splat
-        cannot be drawn; the scene is then unchanged.
-        """
-        given, rows = _splats(splats), self._rows(rows, len(rows))
-        if (len(splats[0]), splats[5].shape[1]) != (self.count, self._coefficients):
-            raise ValueError(
-                f"{len(splats[0])} splats of {splats[5].shape[1]} coefficients for a scene of {self.count}"
-            )
-        move = self._library.cags_raster_scene_move
-        check(move(self._handle, *sized(rows), ctypes.byref(given), threads), "raster_scene_move")
+    def _change(self, call: str, rows: NDArray[np.int64], splats: tuple[F32, ...], threads: int) -> None:
+        given, count, coefficients = _splats(splats), len(splats[0]), splats[5].shape[1]
+        if rows.ndim != 1 or not np.issubdtype(rows.dtype, np.integer):
+            raise ValueError(f"rows of shape {rows.shape} and type {rows.dtype}")
+        if len(rows) and not 0 <= int(rows.min()) <= int(rows.max()) < self.count:
+            raise ValueError(f"rows {int(rows.min())} to {int(rows.max())} of a scene of {self.count}")
+        if (count, coefficients) != (self.count, self._coefficients):
+            raise ValueError(f"{count} splats of {coefficients} coefficients for a scene of {self.count}")
+        rows = np.ascontiguousarray(rows, dtype=np.int64)
+        change = getattr(self._library, f"cags_{call}")
+        check(change(self._handle, *sized(rows), ctypes.byref(given), threads), call)
 
     def render(self, camera: RasterCamera, options: RasterOptions, *, contribution: bool = False) -> RasterImage:
         """Render one view over black, with depth of kind ``options.depth``."""

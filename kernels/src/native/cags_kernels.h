@@ -70,9 +70,10 @@ CAGS_API int32_t cags_use_instruction_set(const char* name);  // for tests and b
 
 CAGS_API int32_t cags_raster_scene_create(const CagsSplats* splats, int32_t threads, CagsRasterScene** scene);
 CAGS_API void cags_raster_scene_destroy(CagsRasterScene* scene);
-CAGS_API int32_t cags_raster_scene_update(CagsRasterScene* scene, const int64_t* rows, int64_t count, const CagsSplats* splats);
-// `all` has a splat for each of the scene's, of which those at rising `rows` moved: position, rotation and opacity are taken from
-// there. Nothing is changed where one of them cannot be drawn (CAGS_INVALID).
+// `all` has a splat for each of the scene's, of which those at rising `rows` changed: all of them, or position, rotation and
+// opacity alone, are taken from there. Nothing is changed where one of them cannot be drawn (CAGS_INVALID).
+CAGS_API int32_t cags_raster_scene_update(CagsRasterScene* scene, const int64_t* rows, int64_t count, const CagsSplats* all,
+                                          int32_t threads);
 CAGS_API int32_t cags_raster_scene_move(CagsRasterScene* scene, const int64_t* rows, int64_t count, const CagsSplats* all,
                                         int32_t threads);
 CAGS_API int32_t cags_raster_render(CagsRasterScene* scene, const CagsCamera* camera, const CagsRasterOptions* options,

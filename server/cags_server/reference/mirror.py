@@ -213,5 +213,5 @@ class Mirror:
         if len(committed.moved):
             scene.move(committed.moved, store.splats, self._threads)
         if len(committed.rows):
-            scene.update(committed.rows, store.splats.take(committed.rows))
+            scene.update(committed.rows, store.splats, self._threads)
         return scene

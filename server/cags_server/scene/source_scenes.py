@@ -196,7 +196,7 @@ def _apply(scene: RasterScene, splats: Splats, delta: SourceDelta) -> None:
     if without_looks.any():
         scene.move(np.flatnonzero(without_looks), splats)
     if len(delta.ids):
-        scene.update(delta.ids, delta.splats)
+        scene.update(delta.ids, splats)
 
 
 def _size(delta: SourceDelta) -> int:

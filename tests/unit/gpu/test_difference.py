@@ -236,7 +236,7 @@ def test_scenes_that_change_from_frame_to_frame_have_the_order_of_their_contents
     for turn in range(3):
         for seed, copy in enumerate(held):
             rows = np.arange(seed, 300, 2 + turn)
-            new = ties().take(rows)
+            new = ties()
             new.sh0[:] += np.random.default_rng(10 * turn + seed).normal(0, 0.5, new.sh0.shape).astype(np.float32)
             copy.update(rows, new)
         made, again = (at_once([truth] * 4, held, [ahead] * 4) for _ in range(2))

@@ -99,7 +99,7 @@ def test_what_changes_while_there_is_no_device_is_on_the_next_one(own: Keeper) -
     splats, rows = random_splats(300), np.arange(0, 300, 2)
     scene = GpuRasteriser(own).load(splats)
     scene.render(camera(), OPTIONS)
-    new = random_splats(len(rows), seed=3)
+    new = random_splats(len(splats), seed=3)
     own.current().gpu.destroy()
     scene.update(rows, new)  # the loss is found here
     scene.render(camera(), OPTIONS)

@@ -105,11 +105,14 @@ def test_the_library_refuses_targets_of_another_size(which: int, change: int) ->
     assert all((array == 7).all() for array in held), "nothing is written"
 
 
-def test_the_library_refuses_rows_that_are_not_as_many_as_the_splats() -> None:
-    scene, held, rows = raster.NativeScene(arrays()), arrays(2), np.arange(3)
-    given = raster._splats(held)
-    update = library.library().cags_raster_scene_update
-    assert update(scene._handle, ctypes.c_void_p(rows.ctypes.data), ctypes.c_int64(3), ctypes.byref(given)) == INVALID
+@pytest.mark.parametrize("call", ["cags_raster_scene_update", "cags_raster_scene_move"])
+@pytest.mark.parametrize(("splats", "count", "threads"), [(2, 2, 1), (4, 5, 1), (4, -1, 1), (4, 2, 0)])
+def test_the_library_refuses_changes_that_do_not_fit_the_scene(
+    call: str, splats: int, count: int, threads: int
+) -> None:
+    scene, held, rows = raster.NativeScene(arrays()), arrays(splats), np.arange(5)
+    given, numbers = raster._splats(held), (ctypes.c_void_p(rows.ctypes.data), ctypes.c_int64(count))
+    assert getattr(library.library(), call)(scene._handle, *numbers, ctypes.byref(given), threads) == INVALID
 
 
 @pytest.mark.parametrize("change", [(-1, 0), (0, -1), (3, 0)])

@@ -60,6 +60,21 @@ bool inside(const CagsRasterScene& scene, const int64_t* rows, int64_t count) {
   return std::all_of(rows, rows + count, [&](int64_t row) { return row >= 0 && row < scene.scene.count(); });
 }
 
+// Takes the splats at `rows` from `all`: with their looks, or where they only moved.
+int32_t change(CagsRasterScene& held, const int64_t* rows, int64_t count, const CagsSplats& all, int threads, bool looks) {
+  cags::raster::Scene& scene = held.scene;
+  if (count < 0 || threads < 1 || !inside(held, rows, count)) return CAGS_INVALID;
+  if (!valid(all) || all.count != scene.count() || all.sh_rest_count != scene.data().sh_rest) return CAGS_INVALID;
+  threads = std::min(threads, cags::kMaxThreads);
+  bool good = false;
+  const int32_t status = cags::guarded([&] {
+    good = scene.drawable(rows, count, all, threads, looks);
+    if (good && looks) scene.update(rows, count, all, threads);
+    if (good && !looks) scene.move(rows, count, all, threads);
+  });
+  return status == CAGS_OK && !good ? CAGS_INVALID : status;
+}
+
 bool valid(const CagsCamera& camera, const CagsRasterOptions& options) {
   return camera.width >= 1 && camera.width <= kMaxSide && camera.height >= 1 && camera.height <= kMaxSide && camera.fx > 0 &&
          camera.fy > 0 && camera.near_plane > 0 && options.threads >= 1 && options.exactness >= CAGS_FAST &&
@@ -77,25 +92,14 @@ int32_t cags_raster_scene_create(const CagsSplats* splats, int32_t threads, Cags
 
 void cags_raster_scene_destroy(CagsRasterScene* scene) { delete scene; }
 
-int32_t cags_raster_scene_update(CagsRasterScene* scene, const int64_t* rows, int64_t count, const CagsSplats* splats) {
-  if (!valid(*splats) || count != splats->count || splats->sh_rest_count != scene->scene.data().sh_rest) return CAGS_INVALID;
-  if (!inside(*scene, rows, count)) return CAGS_INVALID;
-  scene->scene.update(rows, *splats);
-  return CAGS_OK;
+int32_t cags_raster_scene_update(CagsRasterScene* scene, const int64_t* rows, int64_t count, const CagsSplats* all,
+                                 int32_t threads) {
+  return change(*scene, rows, count, *all, threads, true);
 }
 
 int32_t cags_raster_scene_move(CagsRasterScene* scene, const int64_t* rows, int64_t count, const CagsSplats* all,
                                int32_t threads) {
-  if (count < 0 || threads < 1 || !inside(*scene, rows, count)) return CAGS_INVALID;
-  if (!valid(*all) || all->count != scene->scene.count() || all->sh_rest_count != scene->scene.data().sh_rest)
-    return CAGS_INVALID;
-  threads = std::min(threads, cags::kMaxThreads);
-  bool good = false;
-  const int32_t status = cags::guarded([&] {
-    good = scene->scene.drawable(rows, count, *all, threads);
-    if (good) scene->scene.move(rows, count, *all, threads);
-  });
-  return status == CAGS_OK && !good ? CAGS_INVALID : status;
+  return change(*scene, rows, count, *all, threads, false);
 }
 
 int32_t cags_raster_render(CagsRasterScene* scene, const CagsCamera* camera, const CagsRasterOptions* options,

@@ -6,7 +6,6 @@
 #include <atomic>
 #include <cmath>
 #include <cstring>
-#include <utility>
 
 namespace cags::raster {
 namespace {
@@ -79,22 +78,35 @@ Scene::Scene(const CagsSplats& splats, int threads)
   });
 }
 
-void Scene::update(const int64_t* rows, const CagsSplats& splats) {
-  for (int64_t i = 0; i < splats.count; i++) store(int(rows[i]), splats, i);
+void Scene::update(const int64_t* rows, int64_t count, const CagsSplats& all, int threads) {
+  auto each = [&](const auto& change) {
+    parallel_for(threads, int((count + kMoveChunk - 1) / kMoveChunk), [&](int chunk, int) {
+      const int64_t begin = int64_t(chunk) * kMoveChunk, end = std::min(count, begin + kMoveChunk);
+      for (int64_t i = begin; i < end; i++) change(i);
+    });
+  };
+  each([&](int64_t i) { store(int(rows[i]), all, rows[i]); });
   if (sh_rest_ == 0) return;
-  for (int64_t i = 0, last = -1; i < splats.count; i++) {  // rows mostly rise: a block is looked at once
+  each([&](int64_t i) {  // rows rise: a block is looked at once
     const int64_t block = rows[i] / kLanes;
-    if (block != std::exchange(last, block)) refresh_degree(int(block));
-  }
+    if (i == 0 || block != rows[i - 1] / kLanes) refresh_degree(int(block));
+  });
 }
 
-bool Scene::drawable(const int64_t* rows, int64_t count, const CagsSplats& all, int threads) const {
+bool Scene::drawable(const int64_t* rows, int64_t count, const CagsSplats& all, int threads, bool looks) const {
+  const int coefficients = 3 * sh_rest_;
   std::atomic<bool> good{true};
   parallel_for(threads, int((count + kMoveChunk - 1) / kMoveChunk), [&](int chunk, int) {
     bool fine = true;
     for (int64_t i = int64_t(chunk) * kMoveChunk; i < std::min(count, int64_t(chunk + 1) * kMoveChunk); i++) {
       const float *mean = all.means + 3 * rows[i], *quat = all.quats + 4 * rows[i];
-      const float sum = mean[0] * 0.0f + mean[1] * 0.0f + mean[2] * 0.0f + all.logit_opacities[rows[i]] * 0.0f;
+      float sum = mean[0] * 0.0f + mean[1] * 0.0f + mean[2] * 0.0f + all.logit_opacities[rows[i]] * 0.0f;
+      if (looks) {
+        const float *scale = all.log_scales + 3 * rows[i], *sh0 = all.sh0 + 3 * rows[i];
+        const float* rest = all.sh_rest + coefficients * rows[i];
+        for (int k = 0; k < 3; k++) sum += scale[k] * 0.0f + sh0[k] * 0.0f;
+        for (int k = 0; k < coefficients; k++) sum += rest[k] * 0.0f;
+      }
       double norm = 0;
       for (int k = 0; k < 4; k++) norm += double(quat[k]) * quat[k];
       fine &= sum == 0.0f && norm >= kLeastNorm * kLeastNorm && norm < double(INFINITY);

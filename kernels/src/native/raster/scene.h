@@ -11,11 +11,11 @@ class Scene {
   // Copies the splats. Throws std::bad_alloc.
   Scene(const CagsSplats& splats, int threads);
 
-  // Replaces the splats at `rows`; their number of SH coefficients must be the scene's. Not beside a render.
-  void update(const int64_t* rows, const CagsSplats& splats);
-
-  // Whether the splats of `all`, one for each of the scene, can be drawn where they are to move.
-  bool drawable(const int64_t* rows, int64_t count, const CagsSplats& all, int threads) const;
+  // Whether the splats of `all`, one for each of the scene, can be drawn as they are to be at `rows`: with their looks, or where
+  // they only moved.
+  bool drawable(const int64_t* rows, int64_t count, const CagsSplats& all, int threads, bool looks) const;
+  // Takes the splats at rising `rows` from `all`, of as many SH coefficients. Not beside a render, as the next one.
+  void update(const int64_t* rows, int64_t count, const CagsSplats& all, int threads);
   // Takes position, rotation and opacity of those at rising `rows` from `all`; nothing else is looked at there.
   void move(const int64_t* rows, int64_t count, const CagsSplats& all, int threads);
 

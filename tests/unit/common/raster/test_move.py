@@ -47,7 +47,7 @@ def test_a_move_is_an_update_of_the_same_splats_bit_by_bit(backend: str, threads
     for seed in (2, 3):
         new = moved(splats, rows, seed)
         by_move.move(rows, new, threads)
-        by_update.update(rows, new.take(rows))
+        by_update.update(rows, new)
         a, b = (scene.render(CAMERA, RenderOptions()) for scene in (by_move, by_update))
         np.testing.assert_array_equal(a.rgb, b.rgb)
         np.testing.assert_array_equal(a.depth, b.depth)
@@ -59,7 +59,7 @@ def test_rows_in_any_order_and_twice_move_alike_and_no_rows_change_nothing() -> 
     new = moved(splats, np.unique(rows), 2)
     scene.move(rows, new)
     scene.move(np.zeros(0, np.intp), splats)
-    other.update(np.unique(rows), new.take(np.unique(rows)))
+    other.update(np.unique(rows), new)
     np.testing.assert_array_equal(scene.render(CAMERA, RenderOptions()).rgb, other.render(CAMERA, RenderOptions()).rgb)
 
 
@@ -68,6 +68,12 @@ def test_what_cannot_be_drawn_is_named_and_changes_nothing(backend: str) -> None
     splats = random_splats(1, 50)
     scene = create(backend).load(splats)
     before = scene.render(CAMERA, RenderOptions()).rgb
+    for column in ("log_scales", "sh0", "sh_rest"):
+        bad = random_splats(2, 50)
+        getattr(bad, column)[20] = np.nan
+        with pytest.raises(SceneError, match=column):
+            scene.update(np.arange(50), bad)
+        np.testing.assert_array_equal(scene.render(CAMERA, RenderOptions()).rgb, before)
     for column, value in (("means", np.nan), ("logit_opacities", np.nan), ("quats", 0.0), ("quats", np.inf)):
         bad = moved(splats, np.arange(50), 2)
         getattr(bad, column)[20] = value

@@ -184,7 +184,7 @@ class Moving(FakeReader):
 class Watched(FakeScene):
     """Refuses to replace whole splats."""
 
-    def update(self, rows, splats):
+    def update(self, rows, splats, threads=1):
         raise AssertionError("splats that keep their looks are moved")
 
 
