@@ -18,6 +18,7 @@ SCRIPT = """
 import signal, sys, time
 from cags_common.cli import run_command
 signal.signal(signal.SIGHUP, signal.{hangup})
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it for what runs in the background
 def body(argv):
     {body}
 sys.exit(run_command("cags-try", body, []))
