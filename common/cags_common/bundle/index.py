@@ -8,6 +8,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,7 +32,7 @@ _TILE = np.dtype(
         *(("splats", "<u4"), ("first_id", "<i4"), ("low", "<f4", 3), ("high", "<f4", 3)),
     ]
 )
-_SOURCE = np.dtype([("bytes", "<u8"), ("crc", "<u4")])
+_SOURCE = np.dtype([("bytes", "<u8"), ("head_bytes", "<u4"), ("head_crc", "<u4")])
 
 
 @dataclass(frozen=True)
@@ -127,17 +128,28 @@ def decode_tile_index(data: bytes, *, gof: int, frames: range, lods: int) -> tup
     return _frame_entries(gof, first, frame_rows, (tile_rows, sizes, crcs), lods)
 
 
-def encode_source_index(sizes: Sequence[tuple[int, int]]) -> bytes:
-    """Pack ``(bytes, crc)`` of each source frame of a group."""
-    return gzip_bytes(np.array(list(sizes), _SOURCE).tobytes())
+class SourceEntry(NamedTuple):
+    """Where a source frame is within the file of its group."""
+
+    size_bytes: int
+    head_bytes: int
+    head_crc: int
 
 
-def decode_source_index(data: bytes, *, gof: int, frames: int) -> tuple[tuple[int, int], ...]:
+def encode_source_index(entries: Sequence[SourceEntry]) -> bytes:
+    """Pack the entries of a group's source frames."""
+    return gzip_bytes(np.array(list(entries), _SOURCE).tobytes())
+
+
+def decode_source_index(data: bytes, *, gof: int, frames: int) -> tuple[SourceEntry, ...]:
     """Inverse of :func:`encode_source_index`. Raises :class:`BundleError`."""
     raw = _unpacked(data, f"source index of group {gof}")
     if len(raw) != frames * _SOURCE.itemsize:
         raise BundleError(f"source index of group {gof}: has {len(raw)} bytes, expected {frames * _SOURCE.itemsize}")
-    return tuple((int(row["bytes"]), int(row["crc"])) for row in np.frombuffer(raw, _SOURCE))
+    entries = tuple(SourceEntry(*map(int, row)) for row in np.frombuffer(raw, _SOURCE))
+    if any(entry.head_bytes > entry.size_bytes for entry in entries):
+        raise BundleError(f"source index of group {gof}: claims a frame that begins with more bytes than it has")
+    return entries
 
 
 def _unpacked(data: bytes, what: str) -> bytes:

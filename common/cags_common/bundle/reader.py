@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from types import TracebackType
 
 from cags_common.bundle.codecs import AnyTile, MotionTile, SvqTileCodec, anchors_of, tile_codec
-from cags_common.bundle.index import FrameEntry, TileEntry, decode_source_index, decode_tile_index
+from cags_common.bundle.index import FrameEntry, SourceEntry, TileEntry, decode_source_index, decode_tile_index
 from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, FileEntry, Manifest
 from cags_common.bundle.quality import MAX_QUALITY_BYTES, QUALITY_NAME, LodQuality
 from cags_common.bundle.source import SourceDelta, SourceFrame, SourceState, decode_source
@@ -78,7 +78,7 @@ class BundleReader:
         self._store, self._codebooks = store, codebooks
         self._lock, self._replaying = threading.Lock(), threading.Lock()
         self._index: dict[int, tuple[FrameEntry, ...]] = {}
-        self._source_index: dict[int, tuple[tuple[int, int], ...]] = {}
+        self._source_index: dict[int, tuple[SourceEntry, ...]] = {}
         self._frames = Recent[int, bytes](CACHED_BYTES, least=CACHED_FRAMES)
         self._anchors = Recent[tuple[int, int], Anchors](ANCHORS_BYTES)
         self._replay: tuple[int, SourceState] | None = None
@@ -211,18 +211,24 @@ class BundleReader:
         return decode_ids(self.removed_payload(frame), what=f"frame {frame}", limit=self.manifest.capacity[gof])
 
     def source_delta(self, frame: int) -> SourceDelta:
-        """What the unquantised ``frame`` changes against the one before (everything in the first of a group)."""
+        """What the unquantised ``frame`` changes against the one before (everything in the first of a group).
+
+        Values are read when they are asked for, which raises :class:`BundleError` or :class:`DecodeError` where that
+        fails.
+        """
         gof = self.manifest.gof_of(frame)
         self._tile_index(gof)  # which checks the capacity
         row = frame - self.manifest.gof_starts[gof]
-        sizes = self._sources(gof)
-        start = 8 + sum(size for size, _ in sizes[:row])
-        data = self._store.read(self.manifest.gofs[gof].source.name, start, start + sizes[row][0])
-        check_crc(data, sizes[row][1], f"source frame {frame}")
-        delta = decode_source(data, f"source frame {frame}")
+        entries, name, what = self._sources(gof), self.manifest.gofs[gof].source.name, f"source frame {frame}"
+        start, entry = 8 + sum(entry.size_bytes for entry in entries[:row]), entries[row]
+        head = self._store.read(name, start, start + entry.head_bytes)
+        check_crc(head, entry.head_crc, what)
+        delta = decode_source(head, what, lambda first, end: self._store.read(name, start + first, start + end))
+        if delta.packed_bytes != entry.size_bytes:
+            raise BundleError(f"{what}: takes {delta.packed_bytes} bytes where its index has {entry.size_bytes}")
         self.within(delta.ids, frame, "source")
         self.within(delta.removed, frame, "source, removed")
-        self.within(delta.moved.ids, frame, "source, moved")
+        self.within(delta.moved_ids, frame, "source, moved")
         return delta
 
     def source(self, frame: int) -> SourceFrame:
@@ -260,7 +266,7 @@ class BundleReader:
                 "carry; encode the bundle again"
             )
 
-    def _sources(self, gof: int) -> tuple[tuple[int, int], ...]:
+    def _sources(self, gof: int) -> tuple[SourceEntry, ...]:
         known = self._source_index.get(gof)
         if known is None:
             data = self._read_index(self.manifest.gofs[gof].source)

@@ -14,6 +14,7 @@ from cags_common.bundle.index import (
     SOURCE_MAGIC,
     TILES_MAGIC,
     FrameEntry,
+    SourceEntry,
     TileEntry,
     encode_source_index,
     encode_tile_index,
@@ -22,6 +23,7 @@ from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, FileEntry, GofFiles,
 from cags_common.bundle.places import OutputFile, place_of
 from cags_common.bundle.quality import QUALITY_NAME, LodQuality
 from cags_common.bundle.reader import CODEBOOKS_NAME, MANIFEST_NAME, MAX_WEIGHTS_BYTES, weights_name
+from cags_common.bundle.source import head_bytes
 from cags_common.bundle.store import UrlStore, filesystem, replace_files
 from cags_common.coding.packing import crc32, encode_ids
 from cags_common.errors import BundleError
@@ -112,7 +114,7 @@ class GofWriter:
         self._files[0].write(TILES_MAGIC)
         self._files[1].write(SOURCE_MAGIC)
         self._entries: list[FrameEntry] = []
-        self._sources: list[tuple[int, int]] = []
+        self._sources: list[SourceEntry] = []
         self._offset = len(TILES_MAGIC)
 
     def frame(self, tiles: Sequence[TilePayloads], removed: Ids, source: bytes) -> FrameEntry:
@@ -133,7 +135,8 @@ class GofWriter:
             for payload in tile.payloads:
                 self._files[0].write(payload)
         self._files[1].write(source)
-        self._sources.append((len(source), crc32(source)))
+        head = memoryview(source)[: head_bytes(source)]
+        self._sources.append(SourceEntry(len(source), len(head), crc32(head)))
         self._entries.append(entry)
         self._offset += entry.size_bytes
         return entry
@@ -141,7 +144,7 @@ class GofWriter:
     def close(self) -> None:
         """Write the indices and record the group in the bundle."""
         tiles = self._finish(0, self._offset, encode_tile_index(self._entries, self._lods))
-        source_end = len(SOURCE_MAGIC) + sum(size for size, _ in self._sources)
+        source_end = len(SOURCE_MAGIC) + sum(entry.size_bytes for entry in self._sources)
         self._bundle.add_gof(GofFiles(tiles, self._finish(1, source_end, encode_source_index(self._sources))))
 
     def _finish(self, which: int, offset: int, index: bytes) -> FileEntry:

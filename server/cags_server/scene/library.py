@@ -65,9 +65,11 @@ class SceneLibrary:
         """The key frame that ``frame`` builds on."""
         return self.manifest.gof_starts[self.manifest.gof_of(frame)]
 
-    def prepare(self, frame: int) -> None:
-        """Get ready what rendering ``frame`` will need; clients' frames come in order."""
-        self.scenes.prepare(frame)
+    def prepare(self, frame: int, *, drawn: bool) -> None:
+        """Get ready what planning ``frame``, and where it is ``drawn`` rendering it, will need; clients' frames come in
+        order.
+        """
+        self.scenes.prepare(frame, drawn=drawn)
         if frame < self.manifest.frames:
             self.fetch(frame)
 

@@ -1,15 +1,15 @@
 """Source frames in the renderer: a few scenes that roll forward with the media instead of being loaded anew.
 
-A scene holds one row for each splat id of its group of frames; ids that are not alive are transparent. Moving it to the
-next frame writes only the rows that changed; splats that keep their scales and colours are moved and not replaced. A
-scene in use by one client is shared by every client at the same frame; one at another frame moves an idle scene forward
-or loads a new one.
+A scene holds one row for each splat id of its group of frames; ids that are not alive are transparent. Moving it to a
+later frame writes only the rows that changed since; splats that keep their scales and colours are moved and not
+replaced. A scene in use by one client is shared by every client at the same frame; one at another frame moves an idle
+scene forward or loads a new one.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -25,10 +25,10 @@ IDLE_SCENES = 4
 """Scenes that stay loaded while nobody uses them."""
 
 CACHED_DELTA_BYTES = 256 * 1024 * 1024
-"""Decoded source frames kept: those about to be needed, and those that another client, or a loop, needs again."""
+"""Source frames kept: those about to be needed, and those that another client, or a loop, needs again."""
 
 AHEAD_FRAMES = 6
-"""Source frames decoded ahead of the one being prepared: as many as a late renderer may have to skip."""
+"""Source frames read ahead of the one being prepared: as many as a late renderer may have to skip."""
 
 ABSENT_LOGIT = np.float32(-20.0)
 """Opacity logit of an id that is not alive: far below what any renderer draws."""
@@ -77,12 +77,16 @@ class SourceScenes:
         """Whether more frames may be decoded before anybody needs them."""
         return self._deltas.bytes < CACHED_DELTA_BYTES / 2
 
-    def prepare(self, frame: int, frames: int = AHEAD_FRAMES) -> None:
-        """Decode what ``frame`` and those after it, ``frames`` in all, change, ahead of their use."""
+    def prepare(self, frame: int, frames: int = AHEAD_FRAMES, *, drawn: bool = True) -> None:
+        """Read what ``frame`` and those after it, ``frames`` in all, change, ahead of their use; ``drawn``: all of the
+        first one, which will be, and not only who changes.
+        """
         manifest = self._reader.manifest
         for at in range(frame, min(frame + frames, manifest.frames)):
             if at not in manifest.gof_starts:
-                self._delta(at)
+                delta = self._delta(at)
+                if drawn and at == frame:
+                    _ = delta.looks, delta.places
 
     def changed(self, frame: int, wanted: NDArray[np.bool_]) -> Splats:
         """Those of the ``wanted`` splats [capacity], by id, that appeared or changed within :data:`AHEAD_FRAMES` up to
@@ -92,7 +96,7 @@ class SourceScenes:
         wanted, found = wanted.copy(), [np.zeros(0, np.int32)]
         for at in range(frame, max(start, frame - AHEAD_FRAMES), -1):
             delta = self._delta(at)
-            for ids in (delta.ids, delta.moved.ids):
+            for ids in (delta.ids, delta.moved_ids):
                 found.append(ids[wanted[ids]])
                 wanted[found[-1]] = False
         rows = np.concatenate(found)
@@ -146,8 +150,11 @@ class SourceScenes:
             rolling.splats = self._splats(first, self._delta(first) if first == start else None)
             rolling.scene = self._rasteriser.load(rolling.splats)
             rolling.current = first
-        for frame in range(rolling.current + 1, goal + 1):
-            _apply(rolling.scene, rolling.splats, self._delta(frame))
+        if goal > rolling.current:
+            changed = _rolled(rolling.splats, [self._delta(frame) for frame in range(rolling.current + 1, goal + 1)])
+            for rows, take in zip(changed, (rolling.scene.move, rolling.scene.update), strict=True):
+                if len(rows):
+                    take(rows, rolling.splats)
         rolling.current = goal
 
     def _splats(self, frame: int, known: SourceDelta | None) -> Splats:
@@ -179,30 +186,30 @@ class SourceScenes:
             return known
         delta = self._reader.source_delta(frame)
         with self._lock:
-            self._deltas.put(frame, delta, _size(delta))
+            self._deltas.put(frame, delta, delta.nbytes)
         return delta
 
 
-def _apply(scene: RasterScene, splats: Splats, delta: SourceDelta) -> None:
-    """Apply a frame's changes to ``splats`` [capacity] and to the scene that draws them."""
-    moved = delta.moved
-    splats.logit_opacities[delta.removed] = ABSENT_LOGIT
-    splats.means[moved.ids], splats.quats[moved.ids] = moved.means, moved.quats
-    splats.logit_opacities[moved.ids] = moved.logit_opacities
-    for (_, rows), (_, values) in zip(splats.arrays(), delta.splats.arrays(), strict=True):
-        rows[delta.ids] = values
-    without_looks = np.zeros(len(splats), bool)
-    without_looks[delta.removed] = without_looks[moved.ids] = True
-    if without_looks.any():
-        scene.move(np.flatnonzero(without_looks), splats)
-    if len(delta.ids):
-        scene.update(delta.ids, splats)
-
-
-def _size(delta: SourceDelta) -> int:
-    m = delta.moved
-    arrays = (delta.ids, delta.removed, m.ids, m.means, m.quats, m.logit_opacities)
-    return sum(array.nbytes for array in (*arrays, *(values for _, values in delta.splats.arrays())))
+def _rolled(splats: Splats, deltas: Sequence[SourceDelta]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Take ``splats`` [capacity] on by successive changes. Returns the rows that only moved, and those that have got
+    other looks. Values that a later change replaces are not unpacked.
+    """
+    last_place, last_looks = np.full((2, len(splats)), -1, np.int32)
+    for at, delta in enumerate(deltas):
+        last_place[delta.removed], last_looks[delta.removed] = at, -1
+        last_place[delta.ids] = last_looks[delta.ids] = last_place[delta.moved_ids] = at
+    for at, delta in enumerate(deltas):
+        splats.logit_opacities[delta.removed] = ABSENT_LOGIT
+        if (now := last_looks[delta.ids] == at).any():
+            rows, looks = delta.ids[now], delta.looks
+            splats.log_scales[rows], splats.sh0[rows] = looks.log_scales[now], looks.sh0[now]
+            splats.sh_rest[rows] = looks.sh_rest[now]
+        placed = np.concatenate([delta.ids, delta.moved_ids])
+        if (now := last_place[placed] == at).any():
+            rows, places = placed[now], delta.places[now]
+            splats.means[rows], splats.quats[rows] = places[:, :3], places[:, 3:7]
+            splats.logit_opacities[rows] = places[:, 7]
+    return np.flatnonzero((last_place >= 0) & (last_looks < 0)), np.flatnonzero(last_looks >= 0)
 
 
 def _absent(count: int, sh_degree: int) -> Splats:

@@ -244,9 +244,12 @@ class TileSender:
         ids, tiles = library.reader.removed_ids(frame), library.tile_map(frame)
         shown = self.age.shown_with(frame, [])[ids]
         older = np.flatnonzero((shown >= 0) & (tiles.frames[shown] < frame)) if len(ids) else np.zeros(0, np.intp)
-        looks, where = np.unique(shown[older], return_inverse=True)
-        ended = ids[older[~self._follows(tiles, looks, frame)[where]]]
-        return encode_ids(np.union1d(ended, self._ended_before(frame)).astype(np.int32))
+        looks = np.flatnonzero(np.bincount(shown[older])).astype(np.int32)
+        follows = np.zeros(len(tiles.frames), np.bool_)
+        follows[looks] = self._follows(tiles, looks, frame)
+        ends = np.zeros(len(library.owners(frame)), np.bool_)
+        ends[ids[older[~follows[shown[older]]]]] = ends[self._ended_before(frame)] = True
+        return encode_ids(np.flatnonzero(ends).astype(np.int32))
 
     def _ended_before(self, frame: int) -> NDArray[np.int32]:
         """Splats of looks that were sent of late, though they had ended before ``frame``."""

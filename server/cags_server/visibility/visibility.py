@@ -77,9 +77,10 @@ class Visibility:
         every = np.zeros(len(now), np.float32)
         every[splats] = weights
         new = np.flatnonzero(appeared)
-        numbers, tile = np.unique(now[new], return_inverse=True)
-        in_view = np.isfinite(tile_distances(self._library, frame, numbers, last.camera))[tile]
-        every[new] = np.where(in_view, last.weights.sum() / max((then >= 0).sum(), 1), 0.0)
+        numbers = np.flatnonzero(np.bincount(now[new])).astype(np.int32)
+        in_view = np.zeros(int(numbers[-1]) + 1, np.bool_)
+        in_view[numbers] = np.isfinite(tile_distances(self._library, frame, numbers, last.camera))
+        every[new] = np.where(in_view[now[new]], last.weights.sum() / max((then >= 0).sum(), 1), 0.0)
         found = np.flatnonzero(every > 0)
         return found, every[found]
 

@@ -104,7 +104,7 @@ def plays(files: dict[str, bytes]) -> bool:
 def source_payload(rng: np.random.Generator) -> None:
     data = whole()["source/gof_0000.bin"][8:]
     try:
-        decode_source(mutate(data, rng), "x")
+        _ = decode_source(mutate(data, rng), "x").splats
     except (BundleError, DecodeError) as error:
         assert str(error).startswith("x")
 

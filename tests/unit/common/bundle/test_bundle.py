@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from cags_common.bundle import BundleReader, BundleWriter, LodLayer, Manifest, SourceDelta, TilePayloads
-from cags_common.bundle.source import SourceState, decode_source, encode_source
+from cags_common.bundle.source import SourceState, decode_source, encode_source, head_bytes
 from cags_common.bundle.store import UrlStore
 from cags_common.bundle.writer import store_weights
-from cags_common.coding.packing import encode_ids
 from cags_common.errors import BundleError, CagsError, DecodeError
 from cags_common.tiles.payloads import PositionGrid, encode_base, encode_layer
 from support.codec_scenes import books, cloud
@@ -178,7 +177,7 @@ def test_source_frames_of_every_sh_degree_and_of_no_splats() -> None:
             for (_, a), (_, b) in zip(delta.splats.arrays(), back.splats.arrays(), strict=True):
                 assert np.array_equal(a, b) and a.shape == b.shape
     with pytest.raises(DecodeError):
-        decode_source(encode_source(delta)[:-3], "x")
+        _ = decode_source(encode_source(delta)[:-3], "x").splats
 
 
 def moving_delta(degree: int = 3) -> tuple[SourceDelta, SourceDelta]:
@@ -221,14 +220,32 @@ def test_a_source_frame_that_moves_what_its_group_does_not_have_is_refused() -> 
         SourceState(8, 3).apply(SourceDelta(NOBODY, cloud(0, 1, 3), NOBODY, moving.moved))
 
 
-def test_source_frames_of_whole_rows_are_still_read() -> None:
-    delta = SourceDelta(np.arange(6, dtype=np.int32), cloud(6, 1, 3), np.array([9], np.int32))
-    new = encode_source(delta)
-    ids, removed = encode_ids(delta.ids), encode_ids(delta.removed)
-    old = b"\x01" + new[1:16] + ids + removed + new[24 + len(ids) + len(removed) + len(encode_ids(NOBODY)) :]
-    back = decode_source(old, "x")
-    assert back.ids.tolist() == delta.ids.tolist() and back.removed.tolist() == [9] and not len(back.moved)
-    assert np.array_equal(back.splats.sh_rest, delta.splats.sh_rest)
+def test_places_are_unpacked_without_looks_and_looks_without_places() -> None:
+    moving = moving_delta()[1]
+    good, ids = encode_source(moving), len(moving.ids) + len(moving.moved_ids)
+    looks, places = (int.from_bytes(good[at : at + 4], "little") for at in (28, 32))
+    without_looks = bytearray(good)
+    without_looks[-places - looks : -places] = bytes(looks)
+    back = decode_source(bytes(without_looks), "x")
+    np.testing.assert_array_equal(back.places, moving.places)
+    assert back.places.shape == (ids, 8)
+    with pytest.raises(DecodeError, match=r"^x: "):
+        _ = back.looks
+    back = decode_source(good[:-places] + bytes(places), "x")
+    np.testing.assert_array_equal(back.looks.sh_rest, moving.looks.sh_rest)
+    with pytest.raises(DecodeError, match=r"^x: "):
+        _ = back.places
+    assert moving.nbytes == decode_source(good, "x").nbytes
+    head, asked = good[: head_bytes(good)], []
+
+    def read(first: int, end: int) -> bytes:
+        asked.append((first, end))
+        return good[first:end]
+
+    back = decode_source(head, "x", read)
+    assert back.ids.tolist() == moving.ids.tolist() and back.packed_bytes == len(good) and not asked
+    np.testing.assert_array_equal(back.moved.means, moving.moved.means)
+    assert asked == [(len(good) - places, len(good))]
 
 
 def test_damaged_source_frames_are_refused() -> None:
@@ -236,13 +253,13 @@ def test_damaged_source_frames_are_refused() -> None:
     for data, what in (
         (good[:10], "cut short"),
         (good[:20], "cut short"),
-        (b"\x03" + good[1:], "version 3"),
-        (good[:16] + b"\xff" * 4 + good[20:], "beyond what this program reads"),
-        (good[:16] + b"\x04\x00\x00\x00" + good[20:], "unpacks to more"),
-        (good[:16] + b"\x06\x00\x00\x00" + good[20:], "2 [+] 5 ids"),
+        (b"\x02" + good[1:], "version 2"),
+        (good[:4] + b"\xff" * 4 + good[8:], "beyond what this program reads"),
+        (good[:4] + b"\x03\x00\x00\x00" + good[8:], "claims 2 ids for 3 splats"),
+        (good[:-1], "cut short"),
     ):
         with pytest.raises((BundleError, DecodeError), match=f"^x: .*{what}"):
-            decode_source(data, "x")
+            _ = decode_source(data, "x").places
 
 
 def test_weights_are_added_replaced_and_checked(url: str) -> None:

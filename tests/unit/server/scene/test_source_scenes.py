@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from cags_common.bundle import SourceDelta
-from cags_common.errors import BundleError
-from cags_server.scene.source_scenes import IDLE_SCENES, SourceScenes
+from cags_common.bundle.source import decode_source, encode_source
+from cags_common.errors import BundleError, DecodeError
+from cags_common.raster import RenderOptions, create
+from cags_server.scene.source_scenes import ABSENT_LOGIT, IDLE_SCENES, SourceScenes, _rolled
+from support.raster_scenes import camera, random_splats
 from support.server_scene import FakeReader, FakeScene
 
 
@@ -202,3 +205,52 @@ def test_what_keeps_its_looks_is_moved_and_not_replaced() -> None:
             assert (scene._splats.logit_opacities[39] < -10) == (frame >= 2)
         found = scenes.changed(frame, wanted)
         np.testing.assert_array_equal(found.means, truth.means[6:7] if frame else truth.means[:0])
+
+
+def successive(frames: int, random: np.random.Generator) -> list[SourceDelta]:
+    """Changes of a group of 40 splats, packed: some appear, some go, many move; the first holds everything."""
+    alive, deltas = np.ones(40, bool), []
+    for frame in range(frames):
+        went = np.flatnonzero(alive & (random.random(40) < 0.2 * (frame > 0)))
+        alive[went] = False
+        came = np.flatnonzero(~alive & (random.random(40) < 0.5)) if frame else np.arange(40)
+        alive[came] = True
+        moving = np.setdiff1d(np.flatnonzero(alive & (random.random(40) < 0.8)), came) if frame else came[:0]
+        ids = np.union1d(came, moving)
+        delta = SourceDelta(ids.astype(np.int32), random_splats(len(ids), seed=frame), went.astype(np.int32))
+        deltas.append(decode_source(encode_source(delta.keeping(np.isin(ids, moving))), "x"))
+    return deltas
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_frames_passed_over_leave_what_one_after_the_other_does(seed: int) -> None:
+    first, *rest = successive(6, np.random.default_rng(seed))
+    one, other = first.splats.take(np.arange(40)), first.splats.take(np.arange(40))
+    scene, stepped = create("cpu").load(one), create("cpu").load(other)
+    moved, updated = _rolled(one, rest)
+    scene.move(moved, one)
+    scene.update(updated, one)
+    for delta in rest:
+        moved, updated = _rolled(other, [delta])
+        stepped.move(moved, other)
+        stepped.update(updated, other)
+    assert np.array_equal(one.logit_opacities, other.logit_opacities)
+    there = one.logit_opacities > ABSENT_LOGIT
+    assert 0 < there.sum() < 40
+    for (_, a), (_, b) in zip(one.arrays(), other.arrays(), strict=True):
+        np.testing.assert_array_equal(a[there], b[there])
+    views = [each.render(camera(), RenderOptions()).rgb for each in (scene, stepped)]
+    np.testing.assert_array_equal(*views)
+    assert views[0].max() > 0
+
+
+def test_places_that_a_later_frame_replaces_are_not_unpacked() -> None:
+    still = SourceDelta(np.arange(9, dtype=np.int32), random_splats(9), np.zeros(0, np.int32))
+    deltas = [decode_source(encode_source(still.keeping(np.ones(9, bool))), "x") for _ in range(3)]
+    damaged = bytearray(encode_source(still.keeping(np.ones(9, bool))))
+    damaged[-20:] = bytes(20)
+    deltas[1] = decode_source(bytes(damaged), "x")
+    moved, updated = _rolled(random_splats(9), deltas)
+    assert moved.tolist() == list(range(9)) and not len(updated)
+    with pytest.raises(DecodeError):
+        _rolled(random_splats(9), deltas[:2])
