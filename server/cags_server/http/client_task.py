@@ -210,7 +210,8 @@ class ClientTask:
             self._failing_since_s = None
             self._connection.job_done(render, now_us())
         self._wake()
-        self._executor.submit(job.library.prepare, job.plan.frame + 1, drawn=job.plan.speaks)
+        plan = job.plan
+        self._executor.submit(job.library.prepare, plan.frame + 1, plan.ahead.frame + 1, drawn=plan.speaks)
 
     async def _flush(self) -> None:
         """Write the last words; a client that does not take them is cut off."""

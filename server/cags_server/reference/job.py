@@ -101,13 +101,19 @@ class FrameJob:
 
     def run(self, clock_ns: Callable[[], int] | None = None) -> FrameRender:
         """Do the work; ``clock_ns``, if given, times its parts."""
-        clock = clock_ns or _no_clock
+        if not self.plan.speaks:
+            return self._run(None, clock_ns or _no_clock)
+        with self.library.scenes.at(self.plan.frame) as scene:  # to the end: else the one ahead would take it with it
+            return self._run(scene, clock_ns or _no_clock)
+
+    def _run(self, truth: RasterScene | None, clock: Callable[[], int]) -> FrameRender:
+        """``truth`` is None where no reference is made."""
         started = clock()
         if self.mirror is not None and not self.compares:
             self.mirror.follow(self.plan.frame, self.plan.basis)
         footprint = Footprint.classic() if self.plain_footprint else self._footprint(self.camera)
         options = RenderOptions(footprint=footprint, depth=DepthKind.NONE, contribution=True, threads=self.threads)
-        drawn, contribution = self._drawn(options) if self.plan.speaks else (None, self._seen_ahead(options))
+        drawn, contribution = (None, self._seen_ahead(options)) if truth is None else self._drawn(truth, options)
         worth = self.stale.added_to(contribution, self.plan.ahead.frame)
         visible = self.library.visible_tiles(self.plan.ahead.frame, worth, self.visible_px)
         rendered = clock()
@@ -136,12 +142,11 @@ class FrameJob:
             encode_ns=clock() - mirrored,
         )
 
-    def _drawn(self, options: RenderOptions) -> tuple[RenderedView | DrawnViews, F32]:
+    def _drawn(self, truth: RasterScene, options: RenderOptions) -> tuple[RenderedView | DrawnViews, F32]:
         """The true view, compared with the client's where that is done in one go; and what splats contribute to the
         frame whose tiles are planned.
         """
-        with self.library.scenes.at(self.plan.frame) as scene:
-            drawn = self._together(scene, options) or scene.render(self.camera, options)
+        drawn = self._together(truth, options) or truth.render(self.camera, options)
         assert drawn.contribution is not None
         return drawn, self._contribution_ahead(drawn.contribution, options)
 

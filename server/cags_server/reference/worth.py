@@ -3,7 +3,8 @@
 What a reference brings is gone with its frame; what a tile brings stays, and costs the server next to nothing. On a
 machine that is short, references are therefore left out while tiles alone will soon make the picture about as good as
 it will be. Where that would take long, since the link carries too little of what changes, they are what there is to
-see, however few of them there are.
+see, however few of them there are; but only if they come in time. Several in a row that were too late keep the
+processor from the tiles: after these none is made for a while, longer each time that the next one is late as well.
 """
 
 from __future__ import annotations
@@ -13,6 +14,12 @@ from cags_server.reference.lateness import Lateness
 SOON_FRAMES, LONG_FRAMES = 40.0, 60.0
 """Tiles that are through within so many frames will do; from so many on they will not. Between the two all stays."""
 
+IN_VAIN = 3
+"""References in a row that were of no use until none is made for a while."""
+
+REST_US, LONGEST_REST_US = 2_000_000, 16_000_000
+"""The first such while, and the longest one."""
+
 
 class Worth:
     """Decides whether one client's references are worth making."""
@@ -20,9 +27,11 @@ class Worth:
     def __init__(self) -> None:
         self._tiles_will_do = False
         self._work = Lateness()
+        self._in_vain, self._rest_us, self._rests_until_us, self._now_us = 0, REST_US, 0, 0
 
-    def observe(self, coming_bytes: int, link_bps: float, period_us: float) -> None:
+    def observe(self, coming_bytes: int, link_bps: float, period_us: float, now_us: int) -> None:
         """Tiles of ``coming_bytes`` are still to come over a link of ``link_bps``; a frame lasts ``period_us``."""
+        self._now_us = now_us
         frames = coming_bytes * 8e6 / (link_bps * period_us)
         if not SOON_FRAMES < frames < LONG_FRAMES:
             self._tiles_will_do = frames <= SOON_FRAMES
@@ -30,6 +39,17 @@ class Worth:
     def made(self, *, slowly: bool) -> None:
         """A reference was made, or would have been, ``slowly``: the next one was due before it."""
         self._work.observe(late=slowly)
+
+    def came(self, now_us: int, *, in_time: bool) -> None:
+        """A reference was sent, or given up; ``in_time``: its client has it before the display of its frame."""
+        self._now_us = now_us
+        if in_time:
+            self._in_vain, self._rest_us = 0, REST_US
+            return
+        self._in_vain += 1
+        if self._in_vain >= IN_VAIN:
+            self._rests_until_us = now_us + self._rest_us
+            self._rest_us = min(2 * self._rest_us, LONGEST_REST_US)
 
     @property
     def short(self) -> bool:
@@ -39,4 +59,4 @@ class Worth:
     @property
     def pays(self) -> bool:
         """Whether references are to be made."""
-        return not (self.short and self._tiles_will_do)
+        return self._now_us >= self._rests_until_us and not (self.short and self._tiles_will_do)

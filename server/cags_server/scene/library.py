@@ -23,8 +23,13 @@ from cags_server.scene.visible_tiles import Moment, Tally, VisibleTile, all_look
 TALLY_BYTES = 4 << 20
 """Bound on the counts of splats by tile and frame in memory."""
 
-OWNER_BYTES, OWNER_FRAMES = 64 << 20, 2 * LOOK_AHEAD
-"""Bound on the owner tables in memory, and so many frames' in any case."""
+OWNER_BYTES, OWNER_FRAMES = 256 << 20, 2 * LOOK_AHEAD
+"""Bound on the owner tables in memory, and so many frames' in any case. From the displayed frame to the last one looked
+at for a plan, with its lookahead, are up to 45: with fewer, each table is made over and over.
+"""
+
+TABLE_BYTES = 64 << 20
+"""Bound on the lifetimes in memory, and on tiles' ids."""
 
 
 class SceneLibrary:
@@ -44,10 +49,10 @@ class SceneLibrary:
         self.outdated_errors = _errors(reader.manifest.outdated_psnr_db, base_db)
         """The same if updates are missing for so long."""
         self._owners = Recent[tuple[int, int], Owners](OWNER_BYTES, least=OWNER_FRAMES)  # by (group, frame)
-        self._stays = Recent[int, Stays](OWNER_BYTES)  # by frame
+        self._stays = Recent[int, Stays](TABLE_BYTES)  # by frame
         self._tallies = Recent[int, Tally](TALLY_BYTES)  # by frame
         self._maps: dict[int, TileMap] = {}  # by group
-        self._ids = Recent[tuple[int, int], NDArray[np.intp]](OWNER_BYTES)  # by (frame, tile)
+        self._ids = Recent[tuple[int, int], NDArray[np.intp]](TABLE_BYTES)  # by (frame, tile)
         self._lock = threading.Lock()
         self.digest = hashlib.sha256(reader.manifest.to_json()).hexdigest()[:12]
         """Names the bundle: what a client holds of one is worth nothing for another."""
@@ -65,13 +70,13 @@ class SceneLibrary:
         """The key frame that ``frame`` builds on."""
         return self.manifest.gof_starts[self.manifest.gof_of(frame)]
 
-    def prepare(self, frame: int, *, drawn: bool) -> None:
-        """Get ready what planning ``frame``, and where it is ``drawn`` rendering it, will need; clients' frames come in
-        order.
+    def prepare(self, frame: int, ahead: int, *, drawn: bool) -> None:
+        """Get ready what the plan of ``frame`` will need: its source, all of it where it will be ``drawn``, and what
+        planning tiles for the frame ``ahead`` looks at. Clients' frames come in order.
         """
         self.scenes.prepare(frame, drawn=drawn)
-        if frame < self.manifest.frames:
-            self.fetch(frame)
+        if ahead < self.manifest.frames:
+            self.fetch(ahead)
 
     def warm(self) -> None:
         """Load what the first viewer of the first frame will need."""

@@ -157,13 +157,13 @@ class Streamer:
 
     @property
     def next_frames(self) -> tuple[int, ...]:
-        """The media frames that the next plan looks at: its own, and those that it plans tiles for; none at the end."""
-        own, ahead = self._schedule.next_frame, self._frame_ahead
-        if own is None or ahead is None:
+        """The media frames that the next plan plans tiles for; none at the end."""
+        ahead = self._frame_ahead
+        if ahead is None:
             return ()
         ended = ahead if self._tiles.ended is None else self._tiles.ended
         passed = range(ended + 1, ahead) if ahead - ended - 1 <= FEW_PASSED else ()
-        return (own, *passed, ahead)
+        return (*passed, ahead)
 
     @property
     def next_opening(self) -> int | None:
@@ -606,6 +606,7 @@ class Streamer:
             return self._moving_on(render)
         if now_us >= self._reference_deadline_us(render.plan.display_us):
             self._video.broken()
+            self._worth.came(now_us, in_time=False)
             return []
         coded = render.coded
         record.reference_bytes, record.reference_kind = len(coded.access_unit), coded.kind.value
@@ -614,6 +615,7 @@ class Streamer:
         late = now_us + travels_us >= self._viewer.clock.to_server(render.plan.display_us)
         rare = now_us - render.plan.planned_us > OVERLOAD * self._schedule.reference_period_us
         self._coder.lateness.observe(late=late or rare)
+        self._worth.came(now_us, in_time=not late)
         self._reference_budget.spent(record.frame, record.reference_bytes + REFERENCE_OVERHEAD_BYTES)
         return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
 

@@ -254,7 +254,7 @@ class TilePlanner:
         decision = self._policy.decide(observation)
         lacking = lacking_bytes(observation)
         coming_bytes = self._dispatch.budget.outstanding_bytes + lacking
-        self._worth.observe(coming_bytes, record.estimate_bps, self._schedule.timeline.period_us)
+        self._worth.observe(coming_bytes, record.estimate_bps, self._schedule.timeline.period_us, now_us)
         self._decided_us = now_us
         if newest:
             self._held_is_good |= not lacking

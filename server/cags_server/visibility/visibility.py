@@ -32,6 +32,7 @@ class _Picture:
     camera: Camera
     splats: Splats
     weights: F32  # [n] pixels of each
+    owners: Numbers  # [capacity]; kept, since owner tables of frames long past are not
 
 
 class Visibility:
@@ -47,7 +48,8 @@ class Visibility:
         """Take the ``contribution`` [capacity], pixels per splat, to the render of ``frame`` from ``camera``."""
         splats = np.flatnonzero(contribution > self._visible_px)
         gof = self._library.manifest.gof_of(frame)
-        self._last = _Picture(gof, frame, camera, splats, contribution[splats])
+        owners = self._library.owners(frame)
+        self._last = _Picture(gof, frame, camera, splats, contribution[splats], owners)
 
     def tells_of(self, frame: int) -> bool:
         """Whether the last render is valid for ``frame``; it is not in another group of frames."""
@@ -68,7 +70,7 @@ class Visibility:
 
     def _with_new(self, last: _Picture, splats: Splats, weights: F32, frame: int) -> tuple[Splats, F32]:
         """``splats`` [n] and their ``weights`` [n] at ``frame``, and those that have appeared since ``last``."""
-        then, now = self._library.owners(last.frame), self._library.owners(frame)
+        then, now = last.owners, self._library.owners(frame)
         # With motion, new looks are of a new splat, whose id may have been another's. Without it, splats that only
         # changed have new looks, too.
         appeared = (now >= 0) & (then < 0 if self._library.manifest.motion is None else now != then)

@@ -13,8 +13,8 @@ from cags_common.geometry import Camera
 from cags_common.motion.apply import ABSENT_LOGIT
 from cags_common.splats import Splats
 from cags_protocol.wire.messages import ReferenceKind
-from cags_server.reference.coder import ReferenceCoder
-from cags_server.reference.job import FrameJob
+from cags_server.reference.coder import Coded, ReferenceCoder
+from cags_server.reference.job import NOTHING, FrameJob
 from cags_server.scene.source_scenes import SourceScenes
 from support.server_scene import FakeScene
 from support.streamer_rig import Rig
@@ -122,3 +122,26 @@ def test_the_coder_hears_where_splats_appear_that_the_client_lacks(
     mirror: Any = Held(job, change)
     replace(job, mirror=mirror).run()
     assert heard == [expected]
+
+
+def test_the_scene_of_a_frame_is_kept_while_the_one_ahead_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that moved ahead could not go back: where splats appear in the frame would take another to tell."""
+    job, at = planned(), SourceScenes.at
+    job = replace(job, plan=replace(job.plan, ahead=replace(job.plan.ahead, frame=job.plan.frame + 2)), mirror=None)
+    frames: list[int] = []
+
+    def noted(scenes: SourceScenes, frame: int) -> Any:
+        frames.append(frame)
+        return at(scenes, frame)
+
+    def code(coder: ReferenceCoder, *args: Any, **options: Any) -> Coded:
+        loaded = len(job.library.scenes)
+        with job.library.scenes.at(job.plan.frame):
+            assert len(job.library.scenes) == loaded
+        return NOTHING
+
+    monkeypatch.setattr(SourceScenes, "at", noted)
+    monkeypatch.setattr(FrameJob, "_contribution_ahead", lambda job, _, options: job._seen_ahead(options))
+    monkeypatch.setattr(ReferenceCoder, "code_views", code)
+    job.run()
+    assert frames == [job.plan.frame, job.plan.ahead.frame, job.plan.frame]

@@ -120,3 +120,13 @@ def test_whatever_has_appeared_since_the_last_render_is_planned(seed: int) -> No
         owners = scene.owners(frame)
         everyone = {scene.tile_of(frame, int(number)) for number in np.unique(owners[owners >= 0])}
         assert looks == everyone
+
+
+def test_the_owners_of_a_render_long_past_are_not_traced_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    served = moving_library(f"memory://{uuid.uuid4()}", 1)
+    sight, asked = Visibility(served, LEAST), []
+    sight.rendered(0, np.ones(served.manifest.capacity[0], np.float32), AHEAD)
+    owners = served.owners
+    monkeypatch.setattr(served, "owners", lambda frame: asked.append(frame) or owners(frame))
+    assert sight.tiles(3)
+    assert asked and 0 not in asked
