@@ -19,7 +19,7 @@ from cags_encoder.scenes.open import GENERATED, MOTION
 from cags_encoder.scenes.options import split_options
 from cags_encoder.settings import EncodeSettings
 
-ENCODER_VERSION = 55
+ENCODER_VERSION = 56
 """Increased whenever the same input gives other bytes."""
 
 

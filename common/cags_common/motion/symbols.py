@@ -32,12 +32,12 @@ _ESCAPES = struct.Struct("<5I")
 LIFE_EDGES = np.array([2, 3, 5, 8])
 """Bounds of the kinds of lives that end within a span; one kind more are the others."""
 
-LIFE, CODED, WIDTH = 0, 1, 2
+LIFE, SILENT, WIDTH = 0, 1, 2
 CENTRE = WIDTH + len(LIFE_EDGES) + 2
 MOVE = CENTRE + 2
 TURN = MOVE + TOLD + 1
 REAL = TURN + TOLD + 1
-"""First tables of: lives; flags whether a knot has residuals; widths of fades by kind of life; centres by whether it
+"""First tables of: lives; flags whether a knot has no residuals; widths of fades by kind of life; centres by whether it
 ends; positions, rotations and their real part by class.
 """
 
@@ -111,7 +111,7 @@ class Samples:
         first = TURN if tree.turn else MOVE
         knots, near = _knot_rows(tree.order), tree.near
         numbers = samples - 1, splats, tree.turn, unit
-        tables = first, REAL, CODED
+        tables = first, REAL, SILENT
         return motion.Tree(*numbers, knots, class_tables(), *tables, near.rows, near.fits, tree.units)
 
 
@@ -165,15 +165,15 @@ class SymbolWriter:
             return code
 
         def coded(knot: Knot, row: Row) -> Code:
-            self.plain(np.full(1, CODED, np.uint8), flag := np.ones(1, np.uint8))
-            begun.append((flag, len(self._symbols)))
+            self.plain(np.full(1, SILENT, np.uint8), silent := np.zeros(1, np.uint8))
+            begun.append((silent, len(self._symbols)))
             return told_by(wanted[knot.at], np.where(row.told, 0.0, deadzone))
 
         begun: list[tuple[U8, int]] = []
         for residuals in part.walk(unit, coded):
-            flag, first = begun.pop()
+            silent, first = begun.pop()
             if not residuals.any():
-                flag[0] = 0
+                silent[0] = 1
                 for column in (self._tables, self._symbols, self._runs):
                     del column[first:]
 
@@ -192,7 +192,7 @@ def first_table(turn: bool, part: int) -> np.uint8:
 
 def _runs_of(tables: U8, of_knot: NDArray[np.int64]) -> NDArray[np.int64]:
     """Runs of the symbols of a tree with these ``tables`` [n]; ``of_knot`` are those of a knot that has residuals."""
-    out, flags = [np.zeros(0, np.int64)], np.flatnonzero(tables == CODED)
+    out, flags = [np.zeros(0, np.int64)], np.flatnonzero(tables == SILENT)
     for symbols in np.diff(flags, append=len(tables)):
         out += [np.ones(1, np.int64), of_knot[: len(of_knot) if symbols > 1 else 0]]
     return np.concatenate(out)
@@ -278,7 +278,7 @@ class SymbolReader:
 
         def coded(knot: Knot, row: Row) -> Code:
             del knot, row
-            return code if self.plain(np.full(1, CODED, np.uint8))[0] else nothing
+            return nothing if self.plain(np.full(1, SILENT, np.uint8))[0] else code
 
         for _ in part.walk(unit, coded):
             pass

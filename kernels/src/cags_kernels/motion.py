@@ -42,7 +42,7 @@ class _Tree(ctypes.Structure):
             (name, _int32)
             for name in (
                 *("span", "splats", "parts", "turn", "knots"),
-                *("first_table", "first_real_table", "coded_table", "unit"),
+                *("first_table", "first_real_table", "silent_table", "unit"),
             )
         ),
         *((name, _Pointer) for name in ("order", "classes", "neighbours", "fits", "units")),
@@ -101,8 +101,8 @@ class Tree:
     classes: U8  # [8, 1324]
     first_table: int
     first_real_table: int
-    coded_table: int
-    """Of the flags whether a knot has residuals."""
+    silent_table: int
+    """Of the flags whether a knot has no residuals."""
     neighbours: I32  # [splats, 8] of each, coded before it
     fits: F32  # [splats, 8, 8]
     units: F32  # [splats]
@@ -126,7 +126,7 @@ class Tree:
         order, classes = _typed(self.order, np.int32), _typed(self.classes, np.uint8)
         neighbours, fits = _fitting(self.neighbours, np.int32, near), _fitting(self.fits, np.float32, (*near, _FIT))
         arrays = classes, neighbours, fits, _fitting(self.units, np.float32, (self.splats,))
-        tables = self.first_table, self.first_real_table, self.coded_table, self.unit
+        tables = self.first_table, self.first_real_table, self.silent_table, self.unit
         return _Tree(*numbers, *tables, order.ctypes.data, *fields(*arrays))
 
 

@@ -146,7 +146,7 @@ constexpr CagsField kFields[] = {
     CAGS_FIELD(CagsMotionTree, knots),
     CAGS_FIELD(CagsMotionTree, first_table),
     CAGS_FIELD(CagsMotionTree, first_real_table),
-    CAGS_FIELD(CagsMotionTree, coded_table),
+    CAGS_FIELD(CagsMotionTree, silent_table),
     CAGS_FIELD(CagsMotionTree, unit),
     CAGS_FIELD(CagsMotionTree, order),
     CAGS_FIELD(CagsMotionTree, classes),

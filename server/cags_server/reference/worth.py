@@ -40,10 +40,10 @@ class Worth:
         """A reference was made, or would have been, ``slowly``: the next one was due before it."""
         self._work.observe(late=slowly)
 
-    def came(self, now_us: int, *, in_time: bool) -> None:
-        """A reference was sent, or given up; ``in_time``: its client has it before the display of its frame."""
+    def came(self, now_us: int, *, in_vain: bool) -> None:
+        """A reference was sent, or given up; ``in_vain``: it took long, and comes after the display of its frame."""
         self._now_us = now_us
-        if in_time:
+        if not in_vain:
             self._in_vain, self._rest_us = 0, REST_US
             return
         self._in_vain += 1

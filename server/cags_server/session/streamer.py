@@ -604,18 +604,18 @@ class Streamer:
         """The reference, unless it is too late to be useful; then the next one must be an IDR picture."""
         if not render.plan.speaks:
             return self._moving_on(render)
+        slow = now_us - render.plan.planned_us > OVERLOAD * self._schedule.reference_period_us
         if now_us >= self._reference_deadline_us(render.plan.display_us):
             self._video.broken()
-            self._worth.came(now_us, in_time=False)
+            self._worth.came(now_us, in_vain=slow)
             return []
         coded = render.coded
         record.reference_bytes, record.reference_kind = len(coded.access_unit), coded.kind.value
         record.lacking, record.left = coded.before, coded.after
         travels_us = self._link.newest.rtt_us / 2 + self._link.through_us(len(coded.access_unit), now_us)
         late = now_us + travels_us >= self._viewer.clock.to_server(render.plan.display_us)
-        rare = now_us - render.plan.planned_us > OVERLOAD * self._schedule.reference_period_us
-        self._coder.lateness.observe(late=late or rare)
-        self._worth.came(now_us, in_time=not late)
+        self._coder.lateness.observe(late=late or slow)
+        self._worth.came(now_us, in_vain=late and slow)
         self._reference_budget.spent(record.frame, record.reference_bytes + REFERENCE_OVERHEAD_BYTES)
         return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
 

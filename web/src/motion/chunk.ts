@@ -27,8 +27,8 @@ const FADE_WIDTHS = Array.from({ length: 48 }, (_, i) => 2 ** (i / 4 - 3));
 const FADE_STEP = 4;
 const LIFE_EDGES = [2, 3, 5, 8];
 const LIFE_TABLE = 0;
-/** Of the flags whether a knot has residuals. */
-const CODED_TABLE = 1;
+/** Of the flags whether a knot has no residuals. */
+const SILENT_TABLE = 1;
 const WIDTH_TABLE = 2;
 const CENTRE_TABLE = WIDTH_TABLE + LIFE_EDGES.length + 2;
 const MOVE_TABLE = CENTRE_TABLE + 2;
@@ -402,7 +402,7 @@ class SymbolReader {
       const [escapes, escape, tree] = [scope.put(this.escapes), scope.take(8), scope.take(TREE_BYTES)];
       const [parts, splats] = [turn ? 4 : 3, units.length];
       const unit = REFINEMENT ** (LEVELS - 1 - level);
-      const tables = [turn ? TURN_TABLE : MOVE_TABLE, REAL_TABLE, CODED_TABLE];
+      const tables = [turn ? TURN_TABLE : MOVE_TABLE, REAL_TABLE, SILENT_TABLE];
       const numbers = [span, splats, parts, turn ? 1 : 0, order.length / KNOT_NUMBERS, ...tables, unit];
       k.i32(tree, 14).set([...numbers, knotsAt, classesAt, rows, fits, unitsAt]);
       k.view(escape, 8).setBigInt64(0, BigInt(this.at), true);

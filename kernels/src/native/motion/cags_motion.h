@@ -27,7 +27,7 @@ struct CagsMotionTree {
   int32_t parts, turn;  // 3 and 0, or 4 and 1
   int32_t knots;
   int32_t first_table, first_real_table;
-  int32_t coded_table;        // of the flags whether a knot has residuals
+  int32_t silent_table;       // of the flags whether a knot has no residuals
   int32_t unit;               // finest units a unit of the residuals, a power of two
   const CagsKnot* order;      // [knots]
   const uint8_t* classes;     // [8, 1324] of a residual, by what is known and what it tells

@@ -28,7 +28,7 @@ bool valid(const CagsMotionTree& tree) {
   if (tree.span < 1 || tree.span > CAGS_MAX_SPAN || tree.splats < 0 || tree.splats > CAGS_MAX_TILE_SPLATS) return false;
   if (int64_t{tree.splats} * (tree.span + 1) > kMaxSamples || tree.knots < 0 || tree.knots > tree.span + 1) return false;
   if (tree.turn < 0 || tree.turn > 1 || tree.parts != 3 + tree.turn) return false;
-  const auto [lowest, highest] = std::minmax({tree.first_table, tree.first_real_table, tree.coded_table});
+  const auto [lowest, highest] = std::minmax({tree.first_table, tree.first_real_table, tree.silent_table});
   if (lowest < 0 || highest > kMaxTables - kClasses - 1) return false;
   if (tree.unit < 1 || tree.unit > 1 << 20 || !std::has_single_bit(static_cast<uint32_t>(tree.unit))) return false;
   const int64_t near = int64_t{CAGS_NEIGHBOURS} * tree.splats;
@@ -358,7 +358,7 @@ int32_t decode(const CagsMotionTree& tree, SymbolDecoder& decoder, Escapes& esca
   std::vector<int32_t> line(row_size);
   const int last = std::max(tree.first_table + kClasses, tree.first_real_table + kRealClasses);
   const bool all_there = last < decoder.tables;
-  if (tree.knots && tree.coded_table >= decoder.tables) return CAGS_SYMBOLS_TABLE;
+  if (tree.knots && tree.silent_table >= decoder.tables) return CAGS_SYMBOLS_TABLE;
   auto code = [&](const Run& run) -> int32_t {
     const int count = run.group.count;
     if (!all_there && std::any_of(run.tables, run.tables + count, [&](uint8_t t) { return t >= decoder.tables; })) {
@@ -375,10 +375,10 @@ int32_t decode(const CagsMotionTree& tree, SymbolDecoder& decoder, Escapes& esca
   for (const CagsKnot* knot = tree.order; knot < tree.order + tree.knots; knot++) {
     predict(*knot, row_size, samples, line.data());
     int32_t* row = samples + knot->at * row_size;
-    uint8_t *row_told = told + knot->at * row_size, coded;
-    const uint8_t table = static_cast<uint8_t>(tree.coded_table);
-    if (!decoder.take(1, &table, &coded)) return CAGS_SYMBOLS_END;
-    if (!coded) {
+    uint8_t *row_told = told + knot->at * row_size, silent;
+    const uint8_t table = static_cast<uint8_t>(tree.silent_table);
+    if (!decoder.take(1, &table, &silent)) return CAGS_SYMBOLS_END;
+    if (silent) {
       walk.silent(*knot, line.data(), row, row_told);
     } else if (const int32_t status = walk.knot(*knot, line.data(), row, row_told, code)) {
       return status;
@@ -405,12 +405,12 @@ struct Written {
   int64_t count = 0, escape_count = 0;
 
   // Writes the flag of a knot whose residuals follow.
-  void begin(int table) { tables[count] = static_cast<uint8_t>(table), symbols[count++] = 1; }
+  void begin(int table) { tables[count] = static_cast<uint8_t>(table), symbols[count++] = 0; }
 
   // Takes back the residuals of the knot that began at `first` where all of them are zero.
   void end(int64_t first) {
     if (std::any_of(symbols + first + 1, symbols + count, [](uint8_t symbol) { return symbol != 0; })) return;
-    symbols[first] = 0, count = first + 1;
+    symbols[first] = 1, count = first + 1;
   }
 
   // Writes a run of `values`, each by its table.
@@ -451,7 +451,7 @@ void encode(const CagsMotionTree& tree, const CagsTreeEncoding& given, Written& 
     };
     predict(*knot, row_size, given.samples, line.data());
     const int64_t first = out.count;
-    out.begin(tree.coded_table);
+    out.begin(tree.silent_table);
     walk.knot(*knot, line.data(), given.samples + knot->at * row_size, given.told + knot->at * row_size, code);
     out.end(first);
   }

@@ -49,10 +49,10 @@ def pays_at(worth: Worth, now_us: int) -> bool:
 def test_references_that_come_too_late_are_left_out_for_a_while_longer_each_time() -> None:
     worth, now_us, rests = Worth(), 0, []
     for _ in range(IN_VAIN - 1):
-        worth.came(now_us, in_time=False)
+        worth.came(now_us, in_vain=True)
         assert pays_at(worth, now_us), "one that is late may be followed by one in time"
     for _ in range(6):
-        worth.came(now_us, in_time=False)
+        worth.came(now_us, in_vain=True)
         began_us = now_us
         while not pays_at(worth, now_us):
             now_us += 100_000
@@ -62,12 +62,12 @@ def test_references_that_come_too_late_are_left_out_for_a_while_longer_each_time
 
 def test_one_reference_in_time_makes_all_good() -> None:
     worth = Worth()
-    for in_time in (False, False, True, False, False, True) + (False,) * IN_VAIN:
+    for in_vain in (True, True, False, True, True, False) + (True,) * IN_VAIN:
         assert pays_at(worth, 0)
-        worth.came(0, in_time=in_time)
+        worth.came(0, in_vain=in_vain)
     assert not pays_at(worth, REST_US - 1)
-    worth.came(REST_US, in_time=True)
+    worth.came(REST_US, in_vain=False)
     assert pays_at(worth, REST_US)
     for _ in range(IN_VAIN):
-        worth.came(REST_US, in_time=False)
+        worth.came(REST_US, in_vain=True)
     assert not pays_at(worth, 2 * REST_US - 1) and pays_at(worth, 2 * REST_US), "the first rest again"
