@@ -3,7 +3,8 @@
 The first frame of a group holds all splats. Each later one holds what changed: all values of splats that appear or
 whose scales or colours differ, position, rotation and opacity of splats that differ in these alone, and the ids of
 splats that went. Lossless: float32 byte planes in gzip; planes that hardly shrink are stored uncompressed. Scales and
-colours, and what else there is, are packed apart: who passes over frames reads only the newest places.
+colours are packed apart from position, rotation and opacity, so that a reader that skips frames reads the newest ones
+only.
 """
 
 from __future__ import annotations
@@ -141,7 +142,7 @@ class PackedDelta(SourceDelta):
     """
 
     def __init__(self, who: tuple[Ids, Ids, Ids], degree: int, parts: tuple[range, range], source: _Source) -> None:
-        """``who`` changed, went and moved; ``parts``: the bytes of scales and colours, and of places."""
+        """``who``: the ids that changed, went and moved; ``parts``: where the values of looks and of places are."""
         self.ids, self.removed, self._moved_ids = who
         self._degree, self._parts, self._source = degree, parts, source
         self._looks: SourceLooks | None = None
@@ -215,7 +216,7 @@ def encode_source(delta: SourceDelta) -> bytes:
 
 
 def head_bytes(data: bytes) -> int:
-    """Bytes of a packed change that say who changes; values follow."""
+    """Size of the header and id lists of a packed change, after which its values follow."""
     if len(data) < _HEADER.size:
         return len(data)
     sizes: tuple[int, ...] = _HEADER.unpack_from(data)[5:8]

@@ -103,7 +103,8 @@ class FrameJob:
         """Do the work; ``clock_ns``, if given, times its parts."""
         if not self.plan.speaks:
             return self._run(None, clock_ns or _no_clock)
-        with self.library.scenes.at(self.plan.frame) as scene:  # to the end: else the one ahead would take it with it
+        # Held to the end: otherwise the look at the frame ahead would move this scene on.
+        with self.library.scenes.at(self.plan.frame) as scene:
             return self._run(scene, clock_ns or _no_clock)
 
     def _run(self, truth: RasterScene | None, clock: Callable[[], int]) -> FrameRender:

@@ -3,8 +3,8 @@
 What a reference brings is gone with its frame; what a tile brings stays, and costs the server next to nothing. On a
 machine that is short, references are therefore left out while tiles alone will soon make the picture about as good as
 it will be. Where that would take long, since the link carries too little of what changes, they are what there is to
-see, however few of them there are; but only if they come in time. Several in a row that were too late keep the
-processor from the tiles: after these none is made for a while, longer each time that the next one is late as well.
+see, however few of them there are; but only if they come in time. Those that are too late take processor time from the
+tiles: after several in a row none is made for a while, and for longer each time that the next one is late as well.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ SOON_FRAMES, LONG_FRAMES = 40.0, 60.0
 """Tiles that are through within so many frames will do; from so many on they will not. Between the two all stays."""
 
 IN_VAIN = 3
-"""References in a row that were of no use until none is made for a while."""
+"""After so many references in a row that were of no use, none is made for a while."""
 
 REST_US, LONGEST_REST_US = 2_000_000, 16_000_000
-"""The first such while, and the longest one."""
+"""The shortest and the longest such pause."""
 
 
 class Worth:

@@ -24,8 +24,8 @@ TALLY_BYTES = 4 << 20
 """Bound on the counts of splats by tile and frame in memory."""
 
 OWNER_BYTES, OWNER_FRAMES = 256 << 20, 2 * LOOK_AHEAD
-"""Bound on the owner tables in memory, and so many frames' in any case. From the displayed frame to the last one looked
-at for a plan, with its lookahead, are up to 45: with fewer, each table is made over and over.
+"""Bound on the owner tables in memory, and so many frames' in any case. Up to 45 frames are looked at in turn, from the
+displayed one to the lookahead of the last one planned; if their tables do not fit, each is made several times.
 """
 
 TABLE_BYTES = 64 << 20
@@ -71,8 +71,8 @@ class SceneLibrary:
         return self.manifest.gof_starts[self.manifest.gof_of(frame)]
 
     def prepare(self, frame: int, ahead: int, *, drawn: bool) -> None:
-        """Get ready what the plan of ``frame`` will need: its source, all of it where it will be ``drawn``, and what
-        planning tiles for the frame ``ahead`` looks at. Clients' frames come in order.
+        """Read what the plan of ``frame`` will need: its source, with all values if it is to be ``drawn``, and the
+        tables for choosing tiles of the frame ``ahead``. Clients' frames come in order.
         """
         self.scenes.prepare(frame, drawn=drawn)
         if ahead < self.manifest.frames:

@@ -78,8 +78,8 @@ class SourceScenes:
         return self._deltas.bytes < CACHED_DELTA_BYTES / 2
 
     def prepare(self, frame: int, frames: int = AHEAD_FRAMES, *, drawn: bool = True) -> None:
-        """Read what ``frame`` and those after it, ``frames`` in all, change, ahead of their use; ``drawn``: all of the
-        first one, which will be, and not only who changes.
+        """Read which splats change in ``frame`` and those after it, ``frames`` in all, ahead of their use. Where
+        ``frame`` is to be ``drawn``, its values are read, too.
         """
         manifest = self._reader.manifest
         for at in range(frame, min(frame + frames, manifest.frames)):
@@ -191,8 +191,9 @@ class SourceScenes:
 
 
 def _rolled(splats: Splats, deltas: Sequence[SourceDelta]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Take ``splats`` [capacity] on by successive changes. Returns the rows that only moved, and those that have got
-    other looks. Values that a later change replaces are not unpacked.
+    """Apply successive changes to ``splats`` [capacity]; values that a later one replaces are not read.
+
+    Returns the rows that only moved, and those whose looks changed.
     """
     last_place, last_looks = np.full((2, len(splats)), -1, np.int32)
     for at, delta in enumerate(deltas):

@@ -157,7 +157,7 @@ class Streamer:
 
     @property
     def next_frames(self) -> tuple[int, ...]:
-        """The media frames that the next plan plans tiles for; none at the end."""
+        """The media frames whose tiles the next plan chooses; none at the end."""
         ahead = self._frame_ahead
         if ahead is None:
             return ()

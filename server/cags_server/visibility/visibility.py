@@ -32,7 +32,7 @@ class _Picture:
     camera: Camera
     splats: Splats
     weights: F32  # [n] pixels of each
-    owners: Numbers  # [capacity]; kept, since owner tables of frames long past are not
+    owners: Numbers  # [capacity] at that frame; the library no longer has them when many frames have passed
 
 
 class Visibility:
